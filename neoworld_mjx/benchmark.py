@@ -1,7 +1,7 @@
 """The only module of the library that names the benchmark, a package of the same distribution.
 
 The benchmark imports the library. It adds the command `neoworld bench`, and scenes with a ground
-truth for sweeps: `bench:NAME`, `crowded:N` and `photo:NAME`. Both are imported by name when a user
+truth for sweeps: `bench:NAME` and `crowded:N`. Both are imported by name when a user
 asks for them, so that nothing else of the library depends on the benchmark.
 """
 

@@ -45,7 +45,7 @@ def test_an_example_is_what_the_table_says(name, tmp_path):
 @pytest.mark.parametrize("name", ["microwave", "drawers"])
 def test_a_reconstruction_gives_the_figures_of_the_pages(name, tmp_path):
     example = bundled_examples()[name]
-    row = run_example(name, example, load_config(), "replay", tmp_path)
+    row = run_example(name, example, load_config(), tmp_path / "run")
     check_figures(name, {key: getattr(row, key) for key in EXPECTED[name]})
     known = (example.responses.by, example.responses.date, example.responses.prompts)
     assert (row.answered_by, row.date, row.prompts) == known

@@ -1,4 +1,4 @@
-"""The `bench` command: run suites, write the data set and tables."""
+"""The `bench` command: run suites, and write the data set."""
 
 import dataclasses
 import math
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 
-from tyro.conf import Positional, subcommand
+from tyro.conf import subcommand
 
 from neoworld_mjx.commands.base_command import Command, CommandResult, ConfiguredCommand
 from neoworld_mjx.commands.result_lines import bench_lines
@@ -59,22 +59,6 @@ class BenchMakeCommand(Command):
 
         workers = self.workers or os.cpu_count() or 1
         return make_dataset(self.out, seed=self.seed, workers=workers, scenes=self.scenes)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BenchTableCommand(Command):
-    """Write the tables of the results of `bench run` scenes and tasks with --out, in Markdown and
-    CSV: scenes.* and tasks.*.
-    """
-
-    folder: Positional[Path]
-    """Folder of the rows."""
-
-    def run(self) -> CommandResult:
-        """Write the tables."""
-        from .tables.result_tables import write_tables
-
-        return write_tables(self.folder)
 
 
 class SuiteCommand:
@@ -153,14 +137,13 @@ class BenchRunCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand:
-    """Run benchmarks of methods, engines and models, and write their data set and tables."""
+    """Run benchmarks of methods and engines, and write their data set."""
 
     ends_by_interrupt: ClassVar[bool] = False
 
     task: (
         Annotated[BenchRunCommand, subcommand("run")]
         | Annotated[BenchMakeCommand, subcommand("make")]
-        | Annotated[BenchTableCommand, subcommand("table")]
     )
 
     @property

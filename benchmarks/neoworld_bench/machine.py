@@ -3,7 +3,6 @@
 import datetime
 import os
 import platform
-import resource
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -31,20 +30,6 @@ def provenance() -> dict[str, Any]:
             "versions": {name: found for name in _PACKAGES if (found := _version(name))},
         },
     }
-
-
-def peak_mib() -> tuple[float, float | None]:
-    """Return the peak memory of this process and of JAX's first device [MiB], None on a CPU."""
-    import jax
-
-    status = Path("/proc/self/status")
-    if status.exists():  # The resource usage would include the memory of the process that forked.
-        line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
-        host = int(line.split()[1]) / 2**10
-    else:
-        host = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    device = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use")
-    return host, None if device is None else device / 2**20
 
 
 def _processor() -> str:

@@ -1,4 +1,4 @@
-"""Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`, `photo:coffee`.
+"""Named scenes of sweeps and ablations: `bench:desk_laptop`, `crowded:10`.
 
 `bench:desk_laptop@layout#1` is an initial scene with another noise level and number.
 """
@@ -11,11 +11,9 @@ from typing import get_args
 import numpy as np
 
 from neoworld_mjx.errors import SpecError, choices
-from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import SceneModel
-from neoworld_mjx.pipeline.bundled_examples import bundled_examples
-from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
+from neoworld_mjx.spec import SceneSpec, SceneTree
 from neoworld_mjx.sweeps import Case
 
 from .dataset.declaration import declaration
@@ -24,7 +22,6 @@ from .engines.table_scenes import Noise, crowded, noisy_layouts
 from .fidelity.rendered_responses import exact_response
 from .methods.layout_errors import layout_errors
 from .noise.initial_scenes import NoiseLevel, initial_scene, noise_number
-from .photographs.real_scenes import FOLDER
 
 CROWDED_NOISE = Noise(xy=0.08, yaw=np.radians(20.0), log_scale=0.12)
 """Noise of the initial layouts of crowded scenes."""
@@ -74,24 +71,9 @@ def crowded_case(objects: str) -> Case:
     return Case(f"crowded:{objects}", crowded(int(objects)), start=_crowded_start)
 
 
-def photo_case(name: str) -> Case:
-    """Return the composed scene of a bundled example.
-
-    Raises:
-        SpecError: there is no such scene.
-    """
-    examples = bundled_examples()
-    known = [name for name in examples if (FOLDER / f"{name}.json").is_file()]
-    if name not in known:
-        raise SpecError(f"scene photo:{name}: {choices(name, known)}")
-    scene = read_scene(FOLDER / f"{name}.json")
-    return Case(f"photo:{name}", scene, errors=_box_iou)
-
-
 SOURCES: Mapping[str, Callable[[str], Case]] = {
     "bench": bench_case,
     "crowded": crowded_case,
-    "photo": photo_case,
 }
 """Functions from a name to a scene, by the kind before the colon."""
 
@@ -107,9 +89,3 @@ def _layout_errors(truth: SceneSpec, scene: SceneSpec) -> dict[str, float]:
         "yaw_deg": errors["yaw_error_deg"],
         "scale": errors["scale_error"],
     }
-
-
-def _box_iou(scene: SceneSpec) -> dict[str, float]:
-    """Compare the visible boxes of a scene with those of the photograph."""
-    ious = visible_box_iou(scene)
-    return {"box_iou": float(np.mean(list(ious.values())))} if ious else {}

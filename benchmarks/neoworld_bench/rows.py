@@ -1,7 +1,7 @@
-"""Rows of results, and the one file in which they are kept: a repeated command continues from it.
+"""Rows of results, and the file in which they are kept until a run has finished.
 
-A run without `--out` keeps its rows in a folder of the cache, named after the suite, its options,
-the commit and the machine. The folder is deleted once the run has finished.
+A repeated command continues an interrupted run. A run keeps its rows in a folder of the cache,
+named after the suite, its options, the commit and the machine, and deletes it at the end.
 """
 
 import dataclasses

@@ -4,8 +4,6 @@ Rows are kept as they come, and an interrupted run continues: see `rows`. Every 
 `n`.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -14,53 +12,38 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import ROWS, RowStore, collect, kept_rows, log, plain
-
-
-@contextmanager
-def _store(o: suites.SceneSet | suites.Tasks, config: Config) -> Iterator[RowStore]:
-    """Yield the rows of the folder `out`, or those that are kept until the run has finished."""
-    if o.out is not None:
-        yield RowStore(o.out / ROWS)
-        return
-    with kept_rows(o, config) as store:
-        yield store
+from .rows import RowStore, collect, kept_rows, plain
 
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
-    from .methods.method_runs import RunSettings, read_methods
-    from .methods.scene_runs import chosen_scenes
+    from .methods.method_runs import RunSettings
+    from .methods.scene_runs import chosen_scenes, submission_rows
     from .methods.scene_runs import run_scenes as run_methods
-    from .tables.scene_table import scene_summary
+    from .tables.scene_figures import scene_summary
 
-    methods, named = read_methods(o.method, config)
-    settings = RunSettings(o.seed, config.refine, config.compose, o.noise, named)
-    with _store(o, config) as store:
-        rows = run_methods(
-            chosen_scenes(o.scenes),
-            methods,
-            settings,
-            starts=o.starts,
-            place=o.place,
-            store=store,
-            submission=o.submission,
-        )
-    return scene_summary(rows)
+    settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
+    scenes = chosen_scenes(o.scenes)
+    if o.submission is not None:
+        rows = collect(submission_rows(scenes, o.submission, settings))
+        return {**scene_summary(rows), "rows": plain(rows)}
+    with kept_rows(o, config) as store:
+        rows = run_methods(scenes, o.method, settings, starts=o.starts, place=o.place, store=store)
+    return {**scene_summary(rows), "rows": plain(rows)}
 
 
 def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
     from .methods.method_runs import RunSettings
-    from .tables.task_table import task_summary
+    from .tables.task_figures import task_summary
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 
     settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
     tasks = find_tasks(o.task)
-    with _store(o, config) as store:
+    with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
-    return task_summary(rows)
+    return {**task_summary(rows), "rows": plain(rows)}
 
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
@@ -75,17 +58,6 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
         plan = partial(plan_rows, models, methods=o.method, starts=o.starts, settings=settings)
         rows = store.all({task.name: partial(plan, task) for task in tasks})
     return {**plan_figures(rows), "rows": plain(rows)}
-
-
-def run_openings(o: suites.Openings) -> dict[str, Any]:
-    """Measure the openings of joints before and after the alignment."""
-    from .methods.joint_openings import opening_rows, opening_summary
-    from .methods.scene_runs import chosen_scenes
-
-    rows_of = partial(opening_rows, starts=o.starts, seed=o.seed)
-    with kept_rows(o) as store:
-        rows = store.all({name: partial(rows_of, name) for name in chosen_scenes(o.scenes)})
-    return {**opening_summary(rows), "rows": plain(rows)}
 
 
 def run_coverage(o: suites.Coverage) -> dict[str, Any]:
@@ -119,7 +91,6 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
         EngineTask(
             engine=engine,
             population=population,
-            devices=devices,
             early_stop=o.early_stop,
             duration_s=o.duration,
             seed=o.seed,
@@ -127,7 +98,6 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
         )
         for engine in o.engine
         for population in o.population
-        for devices in (o.devices if engine == "mjx" and o.devices else (0,))
     ]
     scenes = {name: case(name).scene for name in o.scenes}
     jobs = {name: partial(engine_rows, name, scene, tasks) for name, scene in scenes.items()}
@@ -138,24 +108,9 @@ def run_engines(o: suites.Engines) -> dict[str, Any]:
 
 def run_examples(o: suites.Examples, config: Config) -> dict[str, Any]:
     """Reconstruct the bundled examples."""
-    from .photographs.example_runs import difference_lines, differences, example_jobs
+    from .photographs.example_runs import example_jobs
 
-    jobs = example_jobs(o.example, config, o.provider, o.out)
-    with kept_rows(o, config) as store:
-        rows = store.all(jobs)
-    for line in difference_lines(rows):
-        log.info(line)
-    return {"differences": differences(rows), "rows": plain(rows)}
-
-
-def run_refine(o: suites.Refine, config: Config) -> dict[str, Any]:
-    """Time the search on the scenes of photographs."""
-    from .photographs.real_scenes import chosen_photographs, real_refinements
-
-    search = {"seed": o.seed, "options": config.refine, "engine": o.engine}
-    jobs = {
-        name: partial(real_refinements, (name,), **search) for name in chosen_photographs(o.scene)
-    }
+    jobs = example_jobs(o.example, config)
     with kept_rows(o, config) as store:
         rows = store.all(jobs)
     return {"rows": plain(rows)}
@@ -203,31 +158,6 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         rows = store.all(jobs)
     paper = {"joints": PAPER_JOINTS, "surfaces": PAPER_SURFACES}
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
-
-
-def run_pictures(o: suites.PictureSuite) -> dict[str, Any]:
-    """Compare rendered images with photographs."""
-    from .judge.picture_rows import made_scenes, picture_figures, picture_rows
-    from .measures.picture_similarity import PictureModels
-
-    models = PictureModels(clip=o.clip, dino=o.dino, lpips=o.lpips, uni3d=o.uni3d)
-    compare = partial(picture_rows, models=models, side=o.size)
-    jobs = {each.numbered: partial(compare, each) for each in made_scenes(o.folders, o.data)}
-    with kept_rows(o) as store:
-        rows = store.all(jobs)
-    return {**picture_figures(rows), "models": models.described(), "rows": plain(rows)}
-
-
-def run_judge(o: suites.Judge, config: Config) -> dict[str, Any]:
-    """Let a model judge scenes."""
-    from .judge.picture_rows import made_scenes
-    from .judge.scene_judge import rating_figures, rating_rows
-
-    scenes = made_scenes(o.folders, o.data)
-    # Responses are kept on a tape, from which an interrupted run takes them.
-    with kept_rows(o, config) as store, _panel(o, config, store) as models:
-        rows = collect(rating_rows(models, scenes, repeats=o.repeats))
-    return {**rating_figures(rows), "rows": plain(rows)}
 
 
 def _panel(o: suites.ModelRequests, config: Config, store: RowStore) -> Panel:

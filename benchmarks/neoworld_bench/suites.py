@@ -65,40 +65,11 @@ class ModelRequests:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneFolders:
-    """Options of suites that compare scenes with photographs."""
-
-    folders: Positional[tuple[Path, ...]] = ()
-    """Run folders, folders written by `neoworld bench make`, or submissions (with --data)."""
-    data: Path | None = None
-    """Data set that contains the photographs of a submission."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Examples:
-    """Reconstruct the bundled examples from their tapes; with another provider also from its
-    responses, which are recorded, and report the differences of the results.
-    """
+    """Reconstruct the bundled examples from their tapes."""
 
     example: tuple[str, ...] = ()
     """Names that `neoworld examples` lists; all by default."""
-    provider: str = "replay"
-    """Source of the responses: replay (the bundled tapes alone), anthropic, openai or mailbox."""
-    out: Path | None = None
-    """Folder of the runs, and of the tapes NAME.tape.json that the responses of another provider
-    are recorded on; needed with another provider."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Refine:
-    """Time the search on the composed scenes of five photographs."""
-
-    scene: tuple[str, ...] = ()
-    """Names of scenes; all by default."""
-    seed: int = 0
-    """Seed of the searches."""
-    engine: EngineChoice = "native"
-    """Engine that rolls candidates out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,17 +95,14 @@ class SceneSet(NoisyRuns):
     scenes: tuple[str, ...] = ()
     """Names of scenes, or a single number of scenes; all by default."""
     method: tuple[str, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
-    """Methods: ours; without a search open_loop, gravity, guided, aligned and aligned_dimensions;
-    algorithm1; ablations no_simulation, without_s_sem, without_d_pen, without_d_drift,
-    without_photo, without_contours, without_edges, without_contacts, without_camera and
-    without_final; and NAME=FILE, the search with the options of a YAML file."""
+    """Methods: ours; without a search open_loop, gravity, guided and aligned; algorithm1; ablations
+    no_simulation, without_s_sem, without_d_pen, without_d_drift, without_photo, without_contours,
+    without_edges and without_final."""
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
     joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
     programs."""
-    out: Path | None = None
-    """Folder of the rows; rows that it already contains are not run again."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
     scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md)."""
@@ -153,8 +121,6 @@ class Tasks(NoisyRuns):
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
     """
-    out: Path | None = None
-    """Folder of the rows; rows that it already contains are not run again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,20 +140,6 @@ class Plans(ModelRequests):
     """Noise of the initial scenes."""
     seed: int = 0
     """Seed of the noise, the searches and the refinement."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Openings:
-    """Open the joints of the thirty scenes' objects one by one, align initial scenes with errors
-    with and without `compose.align.joints`, and report the errors of openings and places.
-    """
-
-    scenes: tuple[str, ...] = ()
-    """Names of scenes; all by default."""
-    starts: int = 2
-    """Initial scenes of each opened joint; those of odd numbers have wrong programs."""
-    seed: int = 0
-    """Seed of the noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,8 +178,6 @@ class Engines:
     """Engines; the row of an engine that cannot run here gives the reason."""
     population: tuple[int, ...] = (1024,)
     """Numbers of candidates."""
-    devices: tuple[int, ...] = ()
-    """Numbers of devices of engine mjx; all by default. On a CPU they are simulated."""
     early_stop: bool = False
     """Stop candidates that have moved too far, as the search does."""
     duration: float = 1.0
@@ -240,13 +190,12 @@ class Engines:
 
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
-    """Score reconstructions of real photographs against a sensor's depth and true poses, in the
-    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md has the layouts.
+    """Score reconstructions of real photographs against true poses, on your copy of a data set
+    in the BOP format. Nothing is downloaded; docs/real-poses.md has the layout.
     """
 
     data: Positional[Path | None] = None
-    """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
-    T-LESS, HOPE, HomebrewedDB)."""
+    """Folder of the data (YCB-V, T-LESS, HOPE, HomebrewedDB)."""
     runs: Path | None = None
     """Folder of run folders named after the views. A row is written for each of their scenes:
     composed, aligned and refined."""
@@ -272,49 +221,19 @@ class ObjectSuite:
     """Direction in which the ground-truth objects face; -x in PartNet-Mobility."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PictureSuite(SceneFolders):
-    """Compare rendered images of scenes with the photographs: SSIM, and LPIPS, CLIP, DINOv2 and
-    Uni3D if their ONNX files are given (docs/measures.md).
-    """
-
-    clip: Path | None = None
-    """CLIP: a folder with model.onnx and preprocessor_config.json."""
-    dino: Path | None = None
-    """DINOv2: a folder with model.onnx and preprocessor_config.json."""
-    lpips: Path | None = None
-    """LPIPS: an ONNX file with two image inputs."""
-    uni3d: Path | None = None
-    """Uni3D: a folder with points.onnx, model.onnx and preprocessor_config.json."""
-    size: int = 512
-    """Longer side of a scene's images, at most the photograph's [px]; an object's have 256."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Judge(SceneFolders, ModelRequests):
-    """Let a model score completeness, layout and function of scenes from 1 to 7."""
-
-    repeats: int = 3
-    """Judgements of each scene."""
-
-
 SUITES = {
     name: Suite(options, f"neoworld_bench.run_suites:run_{name.replace('-', '_')}", configured)
     for name, options, configured in (
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
         ("plans", Plans, True),
-        ("openings", Openings, False),
         ("coverage", Coverage, False),
         ("rescue", Rescues, False),
         ("engines", Engines, False),
         ("examples", Examples, True),
-        ("refine", Refine, True),
         ("photos", Photos, True),
         ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
-        ("pictures", PictureSuite, False),
-        ("judge", Judge, True),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""

@@ -84,7 +84,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "bench": CommandEntry(
         BENCH_COMMAND,
-        "Run benchmarks of methods, engines and models, and write their data set and tables.",
+        "Run benchmarks of methods and engines, and write their data set.",
     ),
 }
 """Commands by name, in the order in which `--help` lists them."""

@@ -75,11 +75,6 @@ COMPONENTS = (
         "uv sync --inexact --extra baselines",
     ),
     Component(
-        *("extra metrics", _installed("onnxruntime")),
-        "bench run pictures measures only SSIM, not LPIPS, CLIP, DINOv2 or Uni3D",
-        "uv sync --inexact --extra metrics",
-    ),
-    Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "the two uv commands in docs/how-to/blender-programs.md",

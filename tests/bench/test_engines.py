@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from neoworld_bench.engines import throughput
 from neoworld_bench.engines.table_scenes import Noise, crowded, noisy_layouts
-from neoworld_bench.engines.throughput import EngineTask, engine_rows, measure, visible_devices
+from neoworld_bench.engines.throughput import EngineTask, engine_rows, measure
 from neoworld_bench.engines.verdicts import compare, motion, naive_loop
 
 from neoworld_mjx import cli
@@ -90,16 +90,6 @@ def test_an_engine_with_wrong_verdicts_or_that_cannot_run_has_no_rate(monkeypatc
 
     monkeypatch.setattr(throughput, "open_engine", refuses)
     assert measure(crowded(3), task) == "skipped: no such device"
-
-
-def test_a_process_sees_the_devices_of_its_row():
-    assert visible_devices(0, {}, "gpu") == {}
-    assert visible_devices(2, {}, "gpu") == {"CUDA_VISIBLE_DEVICES": "0,1"}
-    assert visible_devices(2, {"CUDA_VISIBLE_DEVICES": "5,3,1"}, "gpu") == {
-        "CUDA_VISIBLE_DEVICES": "5,3"
-    }
-    flags = visible_devices(4, {"XLA_FLAGS": "--a=1"}, "cpu")["XLA_FLAGS"]
-    assert flags == "--a=1 --xla_force_host_platform_device_count=4"
 
 
 def test_the_command_prints_rates_and_agreement(capfd):

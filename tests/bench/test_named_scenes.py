@@ -1,4 +1,4 @@
-"""Named scenes of sweeps: bench:NAME, crowded:N and photo:NAME."""
+"""Named scenes of sweeps: bench:NAME and crowded:N."""
 
 from pathlib import Path
 
@@ -21,9 +21,8 @@ PLANS = sorted(CONFIGS.glob("*/*.yaml"))
         ("bench:tents@al", "scene bench:tents@al: noise got 'al', valid are: exact, layout"),
         ("bench:tents#one", "scene bench:tents#one: #START takes the number"),
         ("crowded:many", "number of objects from 1 to 100"),
-        ("photo:cofee", "did you mean 'coffee'"),
         ("bensh:dominoes", "did you mean 'bench'"),
-        ("nowhere", "nor is it one of bench:NAME, crowded:NAME, photo:NAME"),
+        ("nowhere", "nor is it one of bench:NAME, crowded:NAME"),
     ],
 )
 def test_unknown_names_are_refused(name, message):
@@ -46,11 +45,6 @@ def test_crowded_scenes_start_from_a_noisy_layout_for_each_seed():
     model = compile_scene(result.scene)
     first, second = (result.start(model, seed) for seed in (0, 1))
     assert abs(first.xy[0, 1:]).max() > 0 and (first.xy != second.xy).any()
-
-
-def test_photo_scenes_have_a_box_overlap():
-    result = case("photo:coffee")
-    assert 0 < result.errors(result.scene)["box_iou"] <= 1
 
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.name)

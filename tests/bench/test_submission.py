@@ -12,9 +12,8 @@ from neoworld_bench.fidelity.rendered_responses import exact_response
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched, validity
 from neoworld_bench.methods.method_runs import RunSettings
-from neoworld_bench.methods.scene_runs import run_scenes
-from neoworld_bench.methods.submission import submission_name, submitted, submitted_starts
-from neoworld_bench.rows import RowStore
+from neoworld_bench.methods.scene_runs import submission_rows
+from neoworld_bench.methods.submission import submission_name, submitted
 
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import SpecError
@@ -42,16 +41,12 @@ def write(folder: Path, scene: SceneSpec) -> Path:
 
 def test_ground_truth_as_json_and_mjcf_scores_perfectly(tmp_path, truth: SceneSpec):
     write(tmp_path, truth)
-    (tmp_path / "dominoes" / "result.json").write_text('{"seconds": 12.5}')
-    assert submitted_starts(tmp_path, "dominoes", 4) == (0,)
-    own = submitted(tmp_path, 0, truth, QUICK)
+    own = submitted(tmp_path, truth, QUICK)
     assert own.scene == truth and own.accepted is None
     assert validity(own.scene, own.measure, truth, QUICK).valid
-    assert own.seconds == own.seconds_to_result == 12.5
-    export_scene(truth, tmp_path / "mjcf" / "dominoes" / "start_0")
-    (tmp_path / "mjcf" / "dominoes" / "start_0" / "scene.json").unlink()
-    assert submitted_starts(tmp_path / "mjcf", "dominoes", 1) == (0,)
-    read = submitted(tmp_path / "mjcf", 0, truth, QUICK)
+    export_scene(truth, tmp_path / "mjcf" / "dominoes")
+    (tmp_path / "mjcf" / "dominoes" / "scene.json").unlink()
+    read = submitted(tmp_path / "mjcf", truth, QUICK)
     assert validity(read.scene, read.measure, truth, QUICK).valid
     assert read.seconds is None and read.scene.camera == truth.camera
     assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
@@ -68,7 +63,7 @@ def test_poses_in_the_frame_of_the_camera_are_put_into_the_world(tmp_path, level
     into[:3, :3], into[:3, 3] = axes.T, -axes.T @ eye
     up = {"up": (axes.T @ [0, 0, 1]).tolist()} if leveled else {}
     write_poses(tmp_path / "desk", truth, into=into, frame="camera", **up)
-    read = submitted(tmp_path, 0, truth, QUICK)
+    read = submitted(tmp_path, truth, QUICK)
     assert max(layout_errors(read.scene, truth).values()) < 1e-5
     assert validity(read.scene, read.measure, truth, QUICK).valid
     assert read.scene.gravity == truth.gravity
@@ -80,37 +75,35 @@ def test_ground_truth_as_meshes_scores_perfectly(tmp_path):
     write_glb(tmp_path / "glb" / "desk" / "scene.glb", truth)
     write_poses(tmp_path / "obj" / "desk", truth)
     for folder in (tmp_path / "glb", tmp_path / "obj"):
-        assert submitted_starts(folder, "desk", 2) == (0,)
-        read = submitted(folder, 0, truth, QUICK)
+        read = submitted(folder, truth, QUICK)
         assert [item.name for item in read.scene.objects if item.static] == ["table"]
         assert unmatched(read.scene, truth) == ([], []) and displaced(read.scene, truth) == []
         assert max(layout_errors(read.scene, truth).values()) < 1e-4
         assert validity(read.scene, read.measure, truth, QUICK).valid
 
 
-def test_missing_renamed_and_fixed_objects_are_missed(tmp_path, truth: SceneSpec):
+def test_missing_and_renamed_objects_are_missed_and_fixed_ones_refused(tmp_path, truth: SceneSpec):
     first = next(item for item in truth.objects if not item.static)
-    scene = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK).scene
+    scene = submitted(write(tmp_path, without(truth, first.name)), truth, QUICK).scene
     assert unmatched(scene, truth) == ([first.name], [])
-    scene = submitted(write(tmp_path, changed(truth, first.name, name="odd")), 0, truth, QUICK)
+    scene = submitted(write(tmp_path, changed(truth, first.name, name="odd")), truth, QUICK)
     assert unmatched(scene.scene, truth) == ([first.name], ["odd"])
     # An object that is fixed is stable, and no reconstruction of one that moves.
     nailed = changed(truth, first.name, fixed_base=True)
-    scene = submitted(write(tmp_path, nailed), 0, truth, QUICK).scene
-    assert unmatched(scene, truth) == ([first.name], [])
-    assert scene.object(f"held_{first.name}").static
+    with pytest.raises(SpecError, match=rf"fixes {first.name}, free to move"):
+        submitted(write(tmp_path, nailed), truth, QUICK)
 
 
 def test_validity_does_not_depend_on_the_method(tmp_path, truth: SceneSpec):
     first = next(item for item in truth.objects if not item.static)
     judge = lambda made, given=None: validity(made.scene, made.measure, truth, QUICK, given=given)
-    lacking = submitted(write(tmp_path, without(truth, first.name)), 0, truth, QUICK)
+    lacking = submitted(write(tmp_path, without(truth, first.name)), truth, QUICK)
     # A method from a start without the object cannot have it; who saw the picture can.
     assert judge(lacking).lost == (first.name,) and not judge(lacking).valid
     assert judge(lacking, given=lacking.scene).valid and judge(lacking, given=truth).lost
     assert judge(lacking, given=lacking.scene).missed == (first.name,)
     lying = changed(truth, first.name, z=first.z - 0.5)
-    fallen = submitted(write(tmp_path, lying), 0, truth, QUICK)
+    fallen = submitted(write(tmp_path, lying), truth, QUICK)
     assert judge(fallen).displaced == (first.name,) and not judge(fallen).valid
     # What a search says of its own scene counts for nothing, for better or worse.
     for accepted in (True, False, None):
@@ -123,30 +116,22 @@ def test_validity_does_not_depend_on_the_method(tmp_path, truth: SceneSpec):
 
 def test_errors_of_broken_submissions_name_the_folder(tmp_path, truth: SceneSpec):
     file = tmp_path / "dominoes" / "scene.json"
-    with pytest.raises(SpecError, match="nothing is no folder"):
-        submitted_starts(tmp_path / "nothing", "dominoes", 1)
     with pytest.raises(SpecError, match=r"dominoes has none of scene\.json.*--scenes"):
-        submitted_starts(tmp_path, "dominoes", 1)
-    (tmp_path / "dominoes" / "start_0").mkdir(parents=True)
-    with pytest.raises(SpecError, match=r"start_0 has none of scene\.json.*--starts"):
-        submitted_starts(tmp_path, "dominoes", 1)
+        submitted(tmp_path, truth, QUICK)
+    file.parent.mkdir()
     file.write_text('{"objects": [')
     with pytest.raises(SpecError, match=r"scene\.json is not a scene"):
-        submitted(tmp_path, 0, truth, QUICK)
+        submitted(tmp_path, truth, QUICK)
     table = truth.model_copy(update={"objects": truth.objects[:1]})
     with pytest.raises(SpecError, match=r"no object of the scene that is free to move.*domino_0"):
-        submitted(write(tmp_path, table), 0, truth, QUICK)
-    write(tmp_path, truth)
-    (tmp_path / "dominoes" / "result.json").write_text('{"seconds": -1}')
-    with pytest.raises(SpecError, match=r"result\.json is not a result: seconds"):
-        submitted(tmp_path, 0, truth, QUICK)
+        submitted(write(tmp_path, table), truth, QUICK)
     file.unlink()
     file.with_suffix(".xml").write_text(
         '<mujoco><worldbody><body name="domino_0"><freejoint/><geom size="0.1"/></body>'
         "</worldbody></mujoco>"
     )
     with pytest.raises(SpecError, match="holds one object, not a scene"):
-        submitted(tmp_path, 0, truth, QUICK)
+        submitted(tmp_path, truth, QUICK)
     assert submission_name(tmp_path / "a|b <i>") == "submission:a_b__i_"
 
 
@@ -157,7 +142,7 @@ def test_documented_submission_program_needs_no_package(tmp_path, truth: SceneSp
     Path("data/scenes/dominoes").mkdir(parents=True)
     Path("data/scenes/dominoes/tree.json").write_text(exact_response(see(truth)).to_json())
     exec(code[1], {})
-    made = submitted(Path("boxes"), 0, truth, QUICK)
+    made = submitted(Path("boxes"), truth, QUICK)
     assert unmatched(made.scene, truth) == ([], [])
     assert layout_errors(made.scene, truth)["xy_error_m"] < 1e-6
 
@@ -165,14 +150,11 @@ def test_documented_submission_program_needs_no_package(tmp_path, truth: SceneSp
 @pytest.mark.slow
 def test_submissions_are_rows_of_a_method(tmp_path, truth: SceneSpec):
     first = next(item.name for item in truth.objects if not item.static)
-    store = RowStore(tmp_path / "rows.jsonl")
 
     def row(name: str, scene: SceneSpec):
         write(tmp_path / name, scene)
         settings = RunSettings(0, RefineOptions(), ComposeOptions(), "layout")
-        (one,) = run_scenes(
-            ["dominoes"], (), settings, starts=3, store=store, submission=tmp_path / name
-        )
+        (one,) = submission_rows(["dominoes"], tmp_path / name, settings)
         return one
 
     perfect, lacking = row("perfect", truth), row("lacking", without(truth, first))

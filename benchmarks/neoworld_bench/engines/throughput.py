@@ -1,32 +1,27 @@
 """Candidates per second of each engine, and agreement of its verdicts with C MuJoCo.
 
-Every row runs in a process of its own, which sees the row's number of devices, gives its peak
-memory and can be stopped at its time limit. A row whose verdicts disagree with MuJoCo has no rates.
+Every row runs in a process of its own, which is stopped at its time limit. A row whose verdicts
+disagree with MuJoCo has no rates.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
-from neoworld_kernels import pair_depth
 from pydantic import BaseModel, ConfigDict, Field
 
 from neoworld_mjx.engines import EngineName
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import EarlyStop, Rollout, RolloutStatus, open_engine
-from neoworld_mjx.physics.layout import rotation
-from neoworld_mjx.physics.model import SceneModel, compile_scene
+from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
 
-from ..machine import peak_mib
 from ..rows import Row
 from .table_scenes import noisy_layouts
 from .verdicts import Loop, compare, motion, naive_loop
@@ -48,8 +43,6 @@ class EngineTask(BaseModel):
 
     engine: EngineName
     population: int = Field(ge=1)
-    devices: int = Field(default=0, ge=0)
-    """Number of devices of JAX; 0 is all."""
     early_stop: bool = False
     duration_s: float = 1.0
     seed: int = 0
@@ -73,11 +66,6 @@ class EngineRow(Row):
     """Time of the first rollout minus that of a steady one: tracing, compilation, cold caches."""
     steps_per_s: float | None = None
     """Rate of simulated steps, without those of stopped candidates."""
-    penetration_ms: float | None = None
-    """Time of D_pen's pair depths of the population [ms]."""
-    peak_mib: float | None = None
-    """Peak resident memory of the row's process, imports included."""
-    device_peak_mib: float | None = None
     agreement: float | None = None
     """Share of verdicts equal to those of MuJoCo on recompiled scenes, without borderline layouts,
     which move 0.5 to 2 times a bound."""
@@ -95,17 +83,13 @@ class EngineMeasurement(BaseModel):
 
     model_config = ConfigDict(extra="forbid", ser_json_inf_nan="strings")
 
-    devices: int
     first_s: float
     steady_s: list[float]
     mean_steps: float
-    penetration_ms: float
     failed_share: float
     stable_share: float
     motion: list[float]
     """Largest motion of the first candidates, in units of the bounds."""
-    peak_mib: float
-    device_peak_mib: float | None
 
 
 def engine_rows(
@@ -136,7 +120,7 @@ def _row(
         objects=objects,
         engine=task.engine,
         population=task.population,
-        devices=task.devices if isinstance(result, str) else result.devices,
+        devices=len(jax.devices()),
         early_stop=task.early_stop,
         loop_candidates_per_s=loop.candidates_per_s,
     )
@@ -151,9 +135,6 @@ def _row(
         "compared": n,
         "stable_share": result.stable_share,
         "failed_share": result.failed_share,
-        "peak_mib": result.peak_mib,
-        "device_peak_mib": result.device_peak_mib,
-        "penetration_ms": result.penetration_ms,
     }
     if result.failed_share > MOST_FAILED or (share is not None and share < LEAST_AGREEMENT):
         why = f"{result.failed_share:.1%} failed, verdicts agree in {share or 0:.1%}"
@@ -171,19 +152,13 @@ def _row(
 
 def in_a_process(scene: SceneSpec, task: EngineTask) -> EngineMeasurement | str:
     """Measure in a new process; return the reason if it is stopped or fails."""
-    environment = os.environ | visible_devices(task.devices, os.environ, jax.default_backend())
     with tempfile.TemporaryDirectory() as folder:
         given, out = Path(folder) / "scene.json", Path(folder) / "row.json"
         given.write_text(scene.to_json(), encoding="utf-8")
         command = [sys.executable, "-m", __name__, task.model_dump_json(), str(given), str(out)]
+        limit = task.budget_s + START_S
         try:
-            process = subprocess.run(
-                command,
-                capture_output=True,
-                text=True,
-                timeout=task.budget_s + START_S,
-                env=environment,
-            )
+            process = subprocess.run(command, capture_output=True, text=True, timeout=limit)
         except subprocess.TimeoutExpired:
             return "skipped: budget"
         if not out.exists():
@@ -193,25 +168,11 @@ def in_a_process(scene: SceneSpec, task: EngineTask) -> EngineMeasurement | str:
     return result if isinstance(result, str) else EngineMeasurement.model_validate(result)
 
 
-def visible_devices(devices: int, environment: Mapping[str, str], backend: str) -> dict[str, str]:
-    """Return the variables with which a process sees a number of devices; on a CPU, simulated."""
-    if not devices:
-        return {}
-    if backend == "cpu":
-        flags = environment.get("XLA_FLAGS", "")
-        return {"XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}".strip()}
-    visible = environment.get("CUDA_VISIBLE_DEVICES", "").split(",")
-    chosen = visible[:devices] if any(visible) else [str(k) for k in range(devices)]
-    return {"CUDA_VISIBLE_DEVICES": ",".join(chosen)}
-
-
 def measure(scene: SceneSpec, task: EngineTask) -> EngineMeasurement | str:
     """Time one engine on one population in this process, or return why it cannot run."""
     start = time.perf_counter()
     try:
         engine = open_engine(task.engine)
-        if task.devices and task.devices != len(jax.devices()):
-            raise EngineError(f"{task.devices} devices requested, JAX has {len(jax.devices())}")
         model = compile_scene(scene)
         layouts = jax.device_put(noisy_layouts(model, task.population, seed=task.seed))
         rule = EarlyStop() if task.early_stop else None
@@ -230,30 +191,14 @@ def measure(scene: SceneSpec, task: EngineTask) -> EngineMeasurement | str:
     while len(steady) < REPEATS and time.perf_counter() - start < task.budget_s:
         steady.append(_seconds(once))
     engine_motion = motion(model, rollout)
-    host, device = peak_mib()
     return EngineMeasurement(
-        devices=len(jax.devices()),
         first_s=first,
         steady_s=steady,
         mean_steps=float(np.mean(rollout.steps)),
-        penetration_ms=1e3 * _penetration_s(model, rollout),
         failed_share=float(np.mean(np.asarray(rollout.status) == RolloutStatus.FAILED)),
         stable_share=float(np.mean(engine_motion < 1.0)),
         motion=[float(x) for x in engine_motion[:COMPARED]],
-        peak_mib=host,
-        device_peak_mib=device,
     )
-
-
-def _penetration_s(model: SceneModel, rollout: Rollout) -> float:
-    """Return the time of the pair depths of the placed candidates [s]."""
-    poses = rollout.start
-    arguments = (poses.pos, rotation(poses.quat), poses.scale)
-    depth: Callable[..., Float[Array, "pop object object"]] = pair_depth
-    depths = jax.jit(lambda pos, rot, scale: depth(pos, rot, scale, model.samples, model.colliders))
-    call = lambda: jax.block_until_ready(depths(*arguments))
-    call()
-    return float(np.median([_seconds(call) for _ in range(REPEATS)]))
 
 
 def _seconds(call: Callable[[], object]) -> float:

@@ -1,4 +1,4 @@
-"""Measures that compare scenes, objects and images with ground truth, for the tables."""
+"""Measures that compare scenes and objects with ground truth, for the tables."""
 
 from .joint_measure import (
     JointMeasure,
@@ -9,7 +9,6 @@ from .joint_measure import (
     joint_measure,
     truth_of,
 )
-from .picture_similarity import PictureModels, ssim
 from .surface_measure import Closeness, GeometryMeasure, geometry_measure
 
 __all__ = [
@@ -18,11 +17,9 @@ __all__ = [
     "JointMeasure",
     "JointPair",
     "ObjectTruth",
-    "PictureModels",
     "TrueJoint",
     "canonical_points",
     "geometry_measure",
     "joint_measure",
-    "ssim",
     "truth_of",
 ]

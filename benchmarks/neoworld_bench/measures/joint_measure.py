@@ -5,11 +5,8 @@ the canonical frame (origin at the center of the box's bottom face, front along 
 is divided by its diagonal, so that size has no effect. Means of axis, pivot and limits exclude
 missed joints. Every mean is given with the number of its values.
 
-Ground truth of an object: the joints that move, and boxes of the parts that they move.
-
-Units are meters and radians. All positions are in one frame with +z up, with all joints at zero.
-
-A mean with the number of its values.
+The ground truth of an object is the joints that move, and boxes of the parts that they move, in
+meters and radians. All positions are in one frame with +z up, with all joints at zero.
 """
 
 import math

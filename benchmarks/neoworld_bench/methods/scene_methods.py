@@ -3,13 +3,11 @@
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import equinox as eqx
-import jax
 import mujoco
 import numpy as np
 from jaxtyping import UInt8
@@ -18,10 +16,7 @@ from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merge
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.physics.colliders import snap_exactly, start_state
-from neoworld_mjx.physics.engine import EarlyStop, Engine, Rollout
-from neoworld_mjx.physics.guidance import Guidance
-from neoworld_mjx.physics.layout import Poses
-from neoworld_mjx.physics.model import SceneModel
+from neoworld_mjx.physics.engine import Engine
 from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
 from neoworld_mjx.refinement.finishing import compile_for_search
@@ -43,7 +38,7 @@ class MethodResult:
     """Time until the first candidate that the search accepts [s]. If there is none, and for methods
     without a search, it equals `seconds`."""
     seconds: float | None
-    """Time of the method [s]; None if a submission does not state it."""
+    """Time of the method [s]; None for a submission."""
     rollouts: int = 0
     accepted: bool | None = None
     """Verdict of the search; None for methods without a search."""
@@ -92,13 +87,9 @@ EVIDENCE: dict[str, AlignOptions] = {
     "without_photo": AlignOptions(enabled=False),
     "without_contours": AlignOptions(contours=False),
     "without_edges": AlignOptions(edges=False),
-    "without_contacts": AlignOptions(contacts=False),
     "without_final": AlignOptions(final=False),
-    "without_camera": AlignOptions(camera=False),
 }
 """Options of the alignment with the photograph in each of its ablations."""
-DIMENSIONS = {"aligned_dimensions": AlignOptions(dimensions=True)}
-"""Methods whose alignment also changes dimensions in programs."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
     "algorithm1": algorithm1,
@@ -108,14 +99,7 @@ SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
 """Methods that are a refinement, with the function that changes its options."""
 UNALIGNED = ("open_loop", "gravity", "guided", "algorithm1")
 """Methods that start from the composed scene; all others first align it with the photograph."""
-METHODS = (
-    "open_loop",
-    "aligned",
-    "aligned_dimensions",
-    "gravity",
-    "guided",
-    *SEARCHES,
-)
+METHODS = ("open_loop", "aligned", "gravity", "guided", *SEARCHES)
 """Names of all methods."""
 
 
@@ -128,14 +112,12 @@ def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
 
 
 SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {
-    **dict.fromkeys(
-        ("open_loop", "aligned", "aligned_dimensions"), lambda start, o: snap_exactly(start)
-    ),
+    **dict.fromkeys(("open_loop", "aligned"), lambda start, o: snap_exactly(start)),
     "gravity": _gravity,
     "guided": lambda composed, o: settle_scene(composed, o.settle),
 }
 """Methods without a search. Objects are snapped to their supports, fall freely, or settle with
-guidance. `aligned` and `aligned_dimensions` align the scene with the photograph before."""
+guidance. `aligned` aligns the scene with the photograph before."""
 
 
 def outcome_of(
@@ -145,22 +127,17 @@ def outcome_of(
     engine: Engine,
     *,
     seed: int = 0,
-    warm: bool = True,
-    named: Mapping[str, RefineOptions] | None = None,
     photo: UInt8[np.ndarray, "row column 3"] | None = None,
     again: AlignOptions | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
 
     Args:
-        method: name from METHODS, or from `named`.
+        method: name from METHODS.
         start: the initial scene.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
-        warm: if True, first run a search of one iteration that simulates only one candidate, so
-            that the measured time does not include compilation.
-        named: options of user-named searches, by name.
         photo: the photograph, for the final alignment and for a search whose S_sem is a model's.
         again: options of the final alignment; if None, there is none.
     """
@@ -169,13 +146,8 @@ def outcome_of(
         scene = SETTLED[method](start, o)
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
-    options = named[method] if named and method in named else SEARCHES[method](o)
+    options = SEARCHES[method](o)
     model = compile_for_search(start, options)
-    if warm:
-        once = options.cem.model_copy(update={"iterations": 1})
-        quick = options.model_copy(update={"cem": once})
-        single = SingleCandidateEngine(engine)
-        refine_placed(start, quick, seed=seed, engine=single, photo=photo, model=model)
     began = time.perf_counter()
     placed = refine_placed(
         start, options, seed=seed, engine=engine, photo=photo, again=again, model=model
@@ -194,43 +166,6 @@ def outcome_of(
     )
 
 
-class SingleCandidateEngine:
-    """An engine that simulates only the first candidate and copies its result to all others.
-
-    A search with this engine compiles the same functions as a search with the wrapped engine, at
-    little cost.
-    """
-
-    name = "one for all"
-
-    def __init__(self, engine: Engine) -> None:
-        """Wrap an engine."""
-        self.engine = engine
-
-    def rollout(
-        self,
-        scene: SceneModel,
-        poses: Poses,
-        *,
-        duration: float = 1.0,
-        record_every: float = 0.1,
-        early_stop: EarlyStop | None = None,
-        guidance: Guidance | None = None,
-    ) -> Rollout:
-        """Simulate one candidate; see `Engine.rollout`."""
-        single = self.engine.rollout(
-            scene,
-            poses[:1],
-            duration=duration,
-            record_every=record_every,
-            early_stop=early_stop,
-            guidance=guidance,
-        )
-        repeated = lambda x: np.repeat(np.asarray(x), len(poses.scale), axis=0)
-        copies = jax.tree.map(repeated, single)
-        return eqx.tree_at(lambda r: (r.time, r.start), copies, (single.time, poses))
-
-
 def outcomes_of(
     methods: Sequence[str],
     initial: InitialScene,
@@ -240,8 +175,6 @@ def outcomes_of(
     *,
     align: AlignOptions | None = None,
     seed: int = 0,
-    warm: bool = True,
-    named: Mapping[str, RefineOptions] | None = None,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
 
@@ -253,13 +186,11 @@ def outcomes_of(
         photo: function that returns the photograph; called if a method needs the photograph.
         align: options of the alignment.
         seed: random seed of the searches.
-        warm: as for `outcome_of`.
-        named: as for `outcome_of`.
     """
     placed: dict[AlignOptions, LayoutEstimate] = {}
     picture = functools.cache(photo)
     for method in methods:
-        used = (EVIDENCE | DIMENSIONS).get(method, align or AlignOptions())
+        used = EVIDENCE.get(method, align or AlignOptions())
         aligns = used.enabled and method not in UNALIGNED
         start, spent = initial.scene, 0.0
         if aligns:
@@ -274,8 +205,6 @@ def outcomes_of(
             o,
             engine,
             seed=seed,
-            warm=warm,
-            named=named,
             photo=None if method in SETTLED else picture(),
             again=used if aligns else None,
         )
@@ -287,16 +216,16 @@ def outcomes_of(
         yield method, dataclasses.replace(result, **times)
 
 
-def check_methods(methods: Sequence[str], named: Sequence[str] = ()) -> None:
+def check_methods(methods: Sequence[str], others: Sequence[str] = ()) -> None:
     """Check the names of methods.
 
     Args:
         methods: the names.
-        named: further names that are methods.
+        others: further names that are methods.
 
     Raises:
         SpecError: a name is not a method.
     """
     for method in methods:
-        if method not in (*METHODS, *named):
-            raise SpecError(f"method: {choices(method, METHODS)}")
+        if method not in (*METHODS, *others):
+            raise SpecError(f"method: {choices(method, (*METHODS, *others))}")

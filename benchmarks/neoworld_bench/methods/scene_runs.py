@@ -1,7 +1,4 @@
-"""P-Pen: penetration between the parts of an articulated object while its joints move.
-
-Runs of methods on scenes from initial scenes, in separate processes, with one row per run.
-"""
+"""Runs of methods on scenes from initial scenes, in separate processes, with one row per run."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -26,7 +23,7 @@ from ..rows import RowStore
 from .layout_errors import layout_errors, validity
 from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from .scene_methods import MethodResult, check_methods
-from .submission import submission_name, submitted, submitted_starts
+from .submission import submission_name, submitted
 
 P_PEN_M = 1e-3
 """Penetration of two parts above which an object counts in P-Pen [m]."""
@@ -110,7 +107,7 @@ class SceneRow(MethodRow):
     seconds_to_valid: float | None
     """Time until the first valid candidate [s]; None if the result is not valid."""
     seconds: float | None
-    """Time of the method [s]; None if a submission does not state it."""
+    """Time of the method [s]; None for a submission."""
 
     @property
     def found(self) -> int:
@@ -161,7 +158,6 @@ def run_scenes(
     starts: int,
     place: Place = HERE,
     store: RowStore | None = None,
-    submission: Path | None = None,
 ) -> list[SceneRow]:
     """Run methods on scenes, except for rows that are already stored.
 
@@ -171,53 +167,51 @@ def run_scenes(
         settings: settings of the run.
         starts: number of initial scenes of each scene.
         place: where the methods run.
-        store: stored rows, to which new ones are added. If None, rows are not stored.
-        submission: folder of submitted scenes, which are scored (again in each run) instead of
-            running methods.
+        store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
-        SpecError: a method is unknown, or the submission cannot be read.
+        SpecError: a method is unknown.
         RunError: as for `run_jobs`.
     """
-    if submission is None:
-        check_methods(methods, [name for name, _ in settings.named])
-        starts_of = dict.fromkeys(scenes, range(starts))
-    else:
-        methods = (submission_name(submission),)
-        starts_of = {name: submitted_starts(submission, name, starts) for name in scenes}
+    check_methods(methods)
     return run_jobs(
         scene_rows,
         SceneRow,
-        fingerprints={
-            name: settings.fingerprint(declaration(name).model_dump(mode="json")) for name in scenes
-        },
-        starts=starts_of,
+        starts=dict.fromkeys(scenes, range(starts)),
         methods=methods,
         settings=settings,
         place=place,
         store=store,
-        submission=submission,
     )
 
 
 def scene_rows(job: MethodJob) -> Iterator[SceneRow]:
     """Run the methods of a job, and yield a row for each."""
     truth, errors = photographed(declaration(job.subject)), NoiseLog()
-    for method, result, initial in _outcomes(job, truth, errors):
-        yield _row(job, method, result, truth, initial, errors)
-
-
-def _outcomes(
-    job: MethodJob, truth: SceneSpec, errors: NoiseLog
-) -> Iterator[tuple[str, MethodResult, SceneSpec | None]]:
-    """Yield each method with its result and its initial scene, which is None for a submission."""
-    if job.submission is not None:
-        o = job.settings.refine
-        yield job.methods[0], submitted(job.submission, job.start, truth, o), None
-        return
     initial = job.initial(truth, job.subject, errors)
     for method, result in job.outcomes(job.methods, initial, lambda: photograph(truth)):
-        yield method, result, initial.scene
+        yield _row(job, method, result, truth, initial.scene, errors)
+
+
+def submission_rows(
+    scenes: Sequence[str], folder: Path, settings: RunSettings
+) -> Iterator[SceneRow]:
+    """Score the scenes of another method, and yield a row for each.
+
+    Args:
+        scenes: names of the scenes.
+        folder: folder of the submission; see `submission`.
+        settings: settings of the run.
+
+    Raises:
+        SpecError: a scene is missing or cannot be read.
+    """
+    method = submission_name(folder)
+    for name in scenes:
+        truth = photographed(declaration(name))
+        job = MethodJob(name, 0, (method,), settings, threads=1)
+        result = submitted(folder, truth, settings.refine)
+        yield _row(job, method, result, truth, None, NoiseLog())
 
 
 def _row(

@@ -3,8 +3,8 @@
 Each initial scene has different noise. Deviations and rates of the noise were measured. There are
 errors of
 
-- the numbers of a response (`rendered_responses`, `environment_noise`),
-- the tree of a response (`parse_noise`),
+- the numbers of a response (`rendered_responses`),
+- its supports and its tree (`parse_noise`),
 - programs (`program_noise`, `joint_noise`).
 
 Composition derives the sizes of objects from the boxes of the response.

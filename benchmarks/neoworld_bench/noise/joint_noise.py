@@ -1,9 +1,7 @@
-"""Add errors to an object one by one, so that the object always passes the checks of programs.
+"""Errors of joints in programs: missing and extra joints; wrong types, axes, pivots and ranges.
 
-Errors of joints in programs: missing and extra joints; wrong types, axes, pivots and ranges.
-
-Rates and magnitudes were measured on twelve objects with 29 joints (docs/benchmarks.md, "Objects
-from pictures" and "One program against three").
+Errors are added one by one, so that the object always passes the checks of programs. Rates and
+magnitudes were measured on twelve objects with 29 joints (docs/objects.md).
 """
 
 import math

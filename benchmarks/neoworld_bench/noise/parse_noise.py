@@ -1,19 +1,15 @@
-"""Errors of environment supports in a response: sizes of tables, positions of walls and furniture.
+"""Errors of a response that are not errors of its objects' numbers.
 
-Errors of supports were not measured separately. They have the errors that were measured on objects
-whose response gives a position in space. The top of a table or floor is the reference for heights
-and keeps its position.
+They concern supports, the list of objects (missed, extra, split in two), parents, relations,
+openings and the field of view. Rates come from the responses of a model to five rendered images
+with 30 objects, and to four photographs. For the rendered images, no object was missed or extra,
+all support edges were right, and the field of view was wrong in two images. The rate of an error
+that did not occur in n cases is 1/(n + 2), the mean of Laplace's rule of succession. In a run, a
+response that the checks refuse is sent back to the model; here, the error is sampled again.
 
-Errors of a response that splits one object into two: one on the other, or side by side.
-
-Errors of a response that are not errors of its numbers.
-
-They concern the list of objects, parents, relations, openings and the field of view. Rates come
-from the responses of a model to five rendered images with 30 objects, and to four photographs. For
-the rendered images, no object was missed or extra, all support edges were right, and the field of
-view was wrong in two images. The rate of an error that did not occur in n cases is 1/(n + 2), the
-mean of Laplace's rule of succession. In a run, a response that the checks refuse is sent back to
-the model; here, the error is sampled again.
+Errors of supports, sizes of tables and positions of walls and furniture, were not measured
+separately. They have the errors that were measured on objects whose response gives a position in
+space. The top of a table or floor is the reference for heights and keeps its position.
 """
 
 import math

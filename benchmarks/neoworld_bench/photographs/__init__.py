@@ -1,1 +1,1 @@
-"""Composed scenes of five photographs, and the time of their search."""
+"""The bundled examples, and the composed scene of one of them."""

@@ -1,6 +1,6 @@
-"""Scenes of meshes that stand, and the same as a method without physics would leave them.
+"""Rescues of disturbed scenes of meshes: validity, and errors of the objects' poses and sizes.
 
-Rescues of disturbed scenes of meshes: validity, and errors of the objects' poses and sizes.
+Scenes of meshes that stand are disturbed as a method without physics would leave them.
 """
 
 import colorsys

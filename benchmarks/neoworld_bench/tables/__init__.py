@@ -1,1 +1,1 @@
-"""Tables and curves of results."""
+"""Figures of the rows of methods."""

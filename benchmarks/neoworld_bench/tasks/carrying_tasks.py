@@ -1,7 +1,9 @@
-"""Shared parts of the tasks that pick up an object and place it elsewhere."""
+"""Tasks that pick up an object and place it elsewhere, from their declarations in tasks.yaml."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +12,9 @@ from neoworld_mjx.spec.pose import IDENTITY
 
 from .plan_format import TaskPlan
 from .predicates import Located, Predicate
-from .reference import Grasp, pick_and_place
+from .reference import Grasp, grasp_box, pick_and_place
 from .task import Prepared
-from .task_scenes import goal_on, grown, in_other, size_of
+from .task_scenes import goal_on, grown, in_other, put, scene_of, size_of
 
 STILL = "at rest and let go: StackCube-v1 of ManiSkill"
 PLACED = f"{STILL}; own radius and height, which are less than half the object"
@@ -20,66 +22,76 @@ INSERTED = (
     "through an opening and supported: Section 4.4 of the paper; within the hole's radius and at "
     "least 15 mm deep: PegInsertionSide-v1 of ManiSkill"
 )
-UPRIGHT = (0.0, math.radians(15.0))
+UPRIGHT_DEG = (0.0, 15.0)
 HEIGHT_M = 0.01
 """Tolerance of the height of a placed object [m]."""
+DEEPEST_M = 0.3
+"""Greatest depth of an inserted object below its opening [m]."""
 
 
-def placed(
+def carrying(name: str, row: Mapping[str, Any]) -> Prepared:
+    """Return a task that carries an object to a place.
+
+    Args:
+        name: name of the task.
+        row: the declaration. "objects": arguments of `put`, with "parent" for `on`; "size": edge of
+            the table [m]; "object": the one that is carried; "goal": arguments of `located`;
+            "grasp": fields of `Grasp`, or arguments of `grasp_box`; "carry": arguments of `carry`.
+    """
+    objects = []
+    for item in row["objects"]:
+        fields = {"on" if key == "parent" else key: value for key, value in item.items()}
+        objects.append(put(**fields))
+    scene = scene_of(row.get("scene", name), *objects, size=row.get("size", 1.0))
+    moved, way, held = row["object"], row["carry"], row["grasp"]
+    goal = located(scene, moved, **{"relative_to": way["to"], **row["goal"]})
+    grasp = Grasp(**held) if "point" in held else grasp_box(scene, moved, **held)
+    return carry(scene, goal, moved, grasp, **way)
+
+
+def located(
     scene: SceneSpec,
     name: str,
-    on: str,
+    relative_to: str,
     target: Vec3,
     *,
     radius: float | None = None,
-    tilt: tuple[float, float] = UPRIGHT,
-    touching: tuple[str, ...] | None = None,
-    heading: float = math.pi,
     height: float = HEIGHT_M,
+    depth: float | None = None,
+    tilt_deg: tuple[float, float] = UPRIGHT_DEG,
+    heading_deg: float = 180.0,
+    touching: tuple[str, ...] | None = None,
+    through: bool = False,
 ) -> Located:
     """Return the condition that an object's foot is at a point in another object's frame.
 
-    The default radius is a quarter of its narrower edge.
+    Args:
+        scene: the scene.
+        name: the object.
+        relative_to: the other object.
+        target: the point [m]; with a depth, the opening.
+        radius: tolerance across; by default, a quarter of the object's narrower edge [m].
+        height: tolerance of the height [m].
+        depth: least depth of the foot below the opening [m]; None if nothing is inserted.
+        tilt_deg: bounds of the tilt.
+        heading_deg: largest turn.
+        touching: objects that it touches; by default, the other object.
+        through: True if the object goes through an opening, or the other object through it.
     """
     if radius is None:
         radius = float(size_of(scene, name)[:2].min()) / 4
+    low, high = (-height, height) if depth is None else (-DEEPEST_M, -depth)
     return Located(
         object=name,
-        relative_to=on,
+        relative_to=relative_to,
         target=target,
         radius=radius,
-        low=-height,
-        high=height,
-        tilt=tilt,
-        heading=heading,
-        touching=(on,) if touching is None else touching,
-        source=PLACED,
-    )
-
-
-def inserted(
-    name: str,
-    into: str,
-    opening: Vec3,
-    radius: float,
-    depth: float,
-    *,
-    deepest: float = 0.3,
-    tilt: tuple[float, float] = UPRIGHT,
-    heading: float = math.pi,
-) -> Located:
-    """Return the condition that an object's foot is at least `depth` [m] below an opening."""
-    return Located(
-        object=name,
-        relative_to=into,
-        target=opening,
-        radius=radius,
-        low=-deepest,
-        high=-depth,
-        tilt=tilt,
-        heading=heading,
-        touching=(into,),
-        source=INSERTED,
+        low=low,
+        high=high,
+        tilt=(math.radians(tilt_deg[0]), math.radians(tilt_deg[1])),
+        heading=math.radians(heading_deg),
+        touching=(relative_to,) if touching is None else touching,
+        source=PLACED if depth is None and not through else INSERTED,
     )
 
 

@@ -8,22 +8,20 @@ from typing import Any
 from neoworld_mjx.config import read_yaml
 from neoworld_mjx.errors import ConfigError, choices
 
-from . import inserting_tasks, joint_tasks, placing_tasks, pushing_tasks, stacking_tasks
-from . import stacking_tasks as assembling_tasks
+from . import joint_tasks, pushing_tasks, stacking_tasks
+from .carrying_tasks import carrying
 from .task import ManipulationTask, TaskKind
 
 FILE = Path(__file__).parent / "tasks.yaml"
 MODULES = {
-    "placement": placing_tasks,
-    "insertion": inserting_tasks,
     "stacking": stacking_tasks,
     "pushing": pushing_tasks,
     "opening": joint_tasks,
     "closing": joint_tasks,
     "turning": joint_tasks,
-    "assembling": assembling_tasks,
+    "assembling": stacking_tasks,
 }
-"""Module that builds the tasks of each kind."""
+"""Module with the functions of each kind, for tasks that do not only carry an object."""
 
 
 @functools.cache
@@ -37,16 +35,21 @@ def all_tasks() -> tuple[ManipulationTask, ...]:
 
 
 def _task(name: str, kind: TaskKind, row: dict[str, Any]) -> ManipulationTask:
-    arguments = {key: _tuples(value) for key, value in row.get("with", {}).items()}
-    if MODULES[kind] is joint_tasks:
-        arguments["template"] = row["object"]
-        arguments["hold"] = joint_tasks.Hold(*arguments["hold"])
-    make = functools.partial(getattr(MODULES[kind], row["make"]), **arguments)
+    if "carry" in row:
+        make = functools.partial(carrying, name, _tuples(row))
+    else:
+        arguments = _tuples(row.get("with", {}))
+        if MODULES[kind] is joint_tasks:
+            arguments["template"] = row["object"]
+            arguments["hold"] = joint_tasks.Hold(*arguments["hold"])
+        make = functools.partial(getattr(MODULES[kind], row["make"]), **arguments)
     return ManipulationTask(name, kind, row["instruction"], row["object"], make)
 
 
 def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, dict):
+        return {key: _tuples(inner) for key, inner in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def task_names() -> tuple[str, ...]:

@@ -1,17 +1,11 @@
-"""Refinement of a layout by the outcome of a plan (Section 4.4 of the paper).
+"""Plans of a model in the scenes that it sees, executed there and in the ground truth.
 
-The paper says: "We use this execution outcome as a feedback signal to iteratively refine the scene
-layout until the placement succeeds"; it does not state the method. Here the Cross-Entropy Method
-of the scene refinement moves the objects that the task names. A candidate's reward is the progress
-of the plan executed in it, plus 1 on success, less the prior. The resulting layout may differ from
-the ground truth; the same plan in the ground-truth scene measures that.
-
-Requests for plans: what a model is told of a task's scene (Section 4.4 of the paper).
-
-Plans of a model in scenes that it sees, executed there and in the ground truth.
-
-As in Section 4.4 of the paper, the outcome of a plan that fails refines the layout, and the same
-plan is executed again in the refined layout and in the ground truth.
+A model is told of a scene by a picture and numbers, and answers with a plan (Section 4.4 of the
+paper). The paper says of a plan that fails: "We use this execution outcome as a feedback signal to
+iteratively refine the scene layout until the placement succeeds"; it does not state the method.
+Here the Cross-Entropy Method of the scene refinement moves the objects that the task names. A
+candidate's reward is the progress of the plan executed in it, plus 1 on success, less the prior.
+The resulting layout may differ from the ground truth, in which the same plan is executed, too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -312,9 +306,9 @@ def scene_of_method(
     """Return the scene that a method reconstructs from a noisy response, at the task's place."""
     if method == TRUTH:
         return task.scene
-    job = MethodJob(task.name, start, (method,), settings, threads=1, fingerprint="")
+    job = MethodJob(task.name, start, (method,), settings, threads=1)
     initial = job.initial(photo.scene, f"task/{task.name}", NoiseLog())
-    outcomes = job.outcomes((method,), initial, lambda: photograph(photo.scene), warm=False)
+    outcomes = job.outcomes((method,), initial, lambda: photograph(photo.scene))
     return photo.back(dict(outcomes)[method].scene)
 
 

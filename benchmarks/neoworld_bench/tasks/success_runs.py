@@ -1,10 +1,9 @@
-"""Tasks planned in a reconstruction, and executed there and in the ground truth.
+"""Task success of methods: tasks planned in reconstructions, and executed there and in the truth.
 
-Task success of methods: each task is reconstructed from noisy initial scenes, planned there and
-executed. As in the scene benchmark, the ground-truth scene is photographed, a noisy response is
-composed, and a method turns it into a layout. A row reports whether the plan made in this layout
-solves the task in the ground truth. The method `truth` is the ground truth itself: its rows report
-whether the reference plans succeed.
+As in the scene benchmark, the ground-truth scene is photographed, a noisy response is composed, and
+a method turns it into a layout. A row reports whether the plan made in this layout solves the task
+in the ground truth. The method `truth` is the ground truth itself: its rows report whether the
+reference plans succeed.
 """
 
 import time
@@ -29,7 +28,7 @@ from .execution import Outcome, execute
 from .plan_format import TaskPlan
 from .predicates import Predicate
 from .task import ManipulationTask
-from .task_scenes import VIEW, TaskPhoto, photographed_task
+from .task_scenes import TaskPhoto, photographed_task
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,7 @@ def run_successes(
         settings: of the run.
         starts: number of initial scenes of each task.
         place: where they run.
-        store: stored rows, to which new ones are added. If None, rows are not stored.
+        store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
         SpecError: a method is unknown.
@@ -196,13 +195,6 @@ def run_successes(
     return run_jobs(
         success_rows,
         SuccessRow,
-        fingerprints={
-            task.name: settings.fingerprint(
-                VIEW,
-                *(p.model_dump(mode="json") for p in (task.scene, task.predicate, task.plan)),
-            )
-            for task in tasks
-        },
         starts={task.name: range(starts) for task in tasks},
         methods=methods,
         settings=settings,
@@ -229,7 +221,7 @@ def success_rows(job: MethodJob) -> Iterator[SuccessRow]:
     while initial is not None and remaining:
         picture = lambda: photograph(photo.scene)
         try:
-            for method, result in job.outcomes(tuple(remaining), initial, picture, warm=False):
+            for method, result in job.outcomes(tuple(remaining), initial, picture):
                 remaining.remove(method)
                 yield row(method, (photo, initial.scene, result))
         except Exception as error:

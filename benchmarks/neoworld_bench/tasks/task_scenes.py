@@ -1,9 +1,8 @@
-"""Scenes of tasks: objects of programs, set down on a table or on each other.
-
-A task's scene before a camera, where a photograph of it would be taken, and back again.
+"""Scenes of tasks: objects of programs on a table or on each other, and their photographs.
 
 Tasks are declared about the middle of a table; cameras stand above the world's origin and look
-along +x. So the scene is turned and moved, and what was reconstructed from there is moved back.
+along +x. So the scene is turned and moved before its photograph is taken, and what was
+reconstructed from there is moved back.
 """
 
 import math

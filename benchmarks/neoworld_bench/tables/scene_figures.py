@@ -1,43 +1,19 @@
-"""Cells of tables: means with intervals as text, and tables as JSON.
-
-Results of methods on the thirty scenes: means with intervals, differences, and a table.
-"""
+"""Figures of methods on the thirty scenes: means with intervals, and differences."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from neoworld_mjx.io.names import TextTable
 from neoworld_mjx.sweeps.intervals import Interval, mean, ratio_interval
 
 from ..methods.scene_runs import SceneRow
-
-
-def interval_text(estimate: Interval, factor: float, digits: int) -> str:
-    """Return a mean and its interval, such as `50.0 (1.3 to 98.7)`; empty without a mean."""
-    value, low, high = estimate
-    if value is None:
-        return ""
-    text = f"{factor * value:.{digits}f}"
-    if low is None or high is None:
-        return text
-    return f"{text} ({factor * low:.{digits}f} to {factor * high:.{digits}f})"
-
-
-def records(table: TextTable) -> list[dict[str, str]]:
-    """Return the rows of a table as JSON objects, by column."""
-    return [dict(zip(table.head, row, strict=True)) for row in table.rows]
 
 
 class Measure(NamedTuple):
     """Measure of a row, as a mean over scenes and initial scenes."""
 
     value: Callable[[SceneRow], float]
-    column: str
-    factor: float = 100.0
-    """Factor of the value in the table."""
-    digits: int = 1
     share: bool = True
     """True for shares of scenes or objects."""
     weight: Callable[[SceneRow], int] = lambda r: 1
@@ -45,33 +21,26 @@ class Measure(NamedTuple):
 
 
 MEASURES = {
-    "valid_rate": Measure(lambda r: r.valid, "valid [%]"),
-    "check_rate": Measure(lambda r: r.check_passed, "final check [%]"),
-    "accepted_rate": Measure(
-        lambda r: bool(r.accepted), "accepted [%]", weight=lambda r: r.accepted is not None
-    ),
-    "displaced": Measure(
-        lambda r: r.displaced / r.found, "displaced [%]", weight=lambda r: r.found
-    ),
-    "missed": Measure(lambda r: r.missed / r.objects, "missed [%]", weight=lambda r: r.objects),
-    "extra": Measure(
-        lambda r: r.extra / r.objects, "extra [%]", share=False, weight=lambda r: r.objects
-    ),
-    "s_pen": Measure(lambda r: r.s_pen, "S-Pen [%]"),
+    "valid_rate": Measure(lambda r: r.valid),
+    "check_rate": Measure(lambda r: r.check_passed),
+    "accepted_rate": Measure(lambda r: bool(r.accepted), weight=lambda r: r.accepted is not None),
+    "displaced": Measure(lambda r: r.displaced / r.found, weight=lambda r: r.found),
+    "missed": Measure(lambda r: r.missed / r.objects, weight=lambda r: r.objects),
+    "extra": Measure(lambda r: r.extra / r.objects, share=False, weight=lambda r: r.objects),
+    "s_pen": Measure(lambda r: r.s_pen),
     "p_pen": Measure(
         lambda r: r.p_pen / r.articulated if r.articulated else 0.0,
-        "P-Pen [%]",
         weight=lambda r: r.articulated,
     ),
-    "s_stab": Measure(lambda r: r.s_stab, "S-Stab [%]"),
-    "o_stab": Measure(lambda r: r.o_stab, "O-Stab [%]", weight=lambda r: r.found + r.extra),
-    "xy_error_m": Measure(lambda r: r.xy_error_m, "position [mm]", 1e3, share=False),
-    "yaw_error_deg": Measure(lambda r: r.yaw_error_deg, "heading [deg]", 1.0, share=False),
-    "scale_error": Measure(lambda r: r.scale_error, "log scale [%]", share=False),
-    "edge_error": Measure(lambda r: r.edge_error, "edges [%]", share=False),
-    "box_iou": Measure(lambda r: r.box_iou, "box IoU", 1.0, 3, share=False),
+    "s_stab": Measure(lambda r: r.s_stab),
+    "o_stab": Measure(lambda r: r.o_stab, weight=lambda r: r.found + r.extra),
+    "xy_error_m": Measure(lambda r: r.xy_error_m, share=False),
+    "yaw_error_deg": Measure(lambda r: r.yaw_error_deg, share=False),
+    "scale_error": Measure(lambda r: r.scale_error, share=False),
+    "edge_error": Measure(lambda r: r.edge_error, share=False),
+    "box_iou": Measure(lambda r: r.box_iou, share=False),
 }
-"""Measures by name, in the order of the table's columns."""
+"""Measures by name."""
 COMPARED = ("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "box_iou", "displaced")
 """Measures of the paired differences."""
 PAPER: dict[str, dict[str, dict[str, float]]] = {
@@ -87,28 +56,24 @@ PAPER: dict[str, dict[str, dict[str, float]]] = {
         "NeoWorld-Pro": {"s_pen": 0.0, "p_pen": 0.0, "s_stab": 100.0, "o_stab": 100.0},
     },
 }
-"""Scene-level table of the paper, on the paper's own scenes; n is 30 and 11 scenes."""
-PAPER_SCENES = {"all": 30, "tabletop": 11}
-NOTE = (
-    "S-Pen over 1 mm; P-Pen: two parts of an articulated object over 1 mm anywhere in the joints' "
-    "ranges; S-Stab and O-Stab under 1 cm and 5 deg in 2 s of free fall; valid: all of it, and no "
-    "object toppled or fallen. Means with 95% intervals, clustered by scene. Rows marked * are the "
-    "paper's figures, on its own scenes and from photographs."
-)
+"""Scene-level table of the paper [%], on its own 30 scenes and on the 11 tabletop ones."""
 
 
 def scene_summary(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Summarize rows: figures by method, of the evaluation half alone, differences, and a table."""
+    """Summarize rows: figures by method, of the evaluation half alone, and differences."""
     return {
         "n": len(rows),
         "scenes": len({row.scene for row in rows}),
         "starts": len({row.start for row in rows}),
         "methods": {name: figures(some) for name, some in by_method(rows)},
+        "tabletop": {
+            name: figures(some) for name, some in by_method([r for r in rows if r.tabletop])
+        },
         "evaluation": {
             name: figures(some) for name, some in by_method([r for r in rows if r.evaluation])
         },
         "differences": differences(rows),
-        "table": records(scene_table(rows)),
+        "paper": PAPER,
     }
 
 
@@ -174,25 +139,3 @@ def differences(rows: Sequence[SceneRow]) -> dict[str, Any]:
                 for of in COMPARED
             }
     return {"to": first, "methods": result}
-
-
-def scene_table(rows: Sequence[SceneRow]) -> TextTable:
-    """Return a line for each method and for those of the paper: of all scenes, of the tabletop
-    scenes, and of the evaluation half of the initial scenes."""
-    lines = []
-    for subset, some in (
-        ("all", list(rows)),
-        ("tabletop", [row for row in rows if row.tabletop]),
-        ("evaluation", [row for row in rows if row.evaluation]),
-    ):
-        for method, method_rows in by_method(some):
-            cells = [
-                interval_text(interval(method_rows, name), of.factor, of.digits)
-                for name, of in MEASURES.items()
-            ]
-            lines.append([subset, method, str(len(method_rows)), *cells])
-        for method, values in PAPER.get(subset, {}).items():
-            cells = [f"{values[name]:.2f}" if name in values else "" for name in MEASURES]
-            lines.append([subset, f"{method}*", str(PAPER_SCENES[subset]), *cells])
-    columns = [of.column for of in MEASURES.values()]
-    return TextTable(NOTE, ["scenes", "method", "n", *columns], lines)

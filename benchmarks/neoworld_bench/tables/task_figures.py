@@ -1,15 +1,13 @@
-"""Task success by method and kind of task, and a table alongside the paper's."""
+"""Task success by method and kind of task."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.io.names import TextTable
 from neoworld_mjx.sweeps.intervals import Interval, ratio_interval
 
 from ..tasks.success_runs import SuccessRow
-from .scene_table import interval_text, records
 
 SHARES: dict[str, Callable[[SuccessRow], bool]] = {
     "success_on_truth": lambda r: r.on_truth,
@@ -18,7 +16,6 @@ SHARES: dict[str, Callable[[SuccessRow], bool]] = {
     "valid_rate": lambda r: r.valid,
 }
 """Shares over tasks and initial scenes; the first is task success."""
-COLUMNS = ("task success [%]", "in the layout [%]", "unaligned [%]", "valid [%]")
 PAPER = {
     "NeoWorld-Pro": 0.9285,
     "w/o S_sem": 0.4881,
@@ -26,17 +23,11 @@ PAPER = {
     "w/o D_drift": 0.8824,
     "w/o simul. (open-loop)": 0.4405,
 }
-"""Success of the paper's own tasks, which are not public."""
-NOTE = (
-    "Shares of tasks and initial scenes with 95% intervals, clustered by task. Rows marked * are "
-    "the paper's, on its own scenes and tasks: a model gives the start and the displacement of the "
-    "end effector, and Isaac Sim executes them in the reconstructed scene, so they are in the "
-    "column of the closest definition."
-)
+"""Success of the paper's own tasks, which are not public, in its reconstructed scenes."""
 
 
 def task_summary(rows: Sequence[SuccessRow]) -> dict[str, Any]:
-    """Summarize rows by method: all of them, the evaluation half, kinds of tasks, and a table."""
+    """Summarize rows by method: all of them, the evaluation half, and kinds of tasks."""
     return {
         "n": len(rows),
         "tasks": len({row.task for row in rows}),
@@ -52,7 +43,7 @@ def task_summary(rows: Sequence[SuccessRow]) -> dict[str, Any]:
             for row in rows
             if not row.on_truth
         ],
-        "table": records(task_table(rows)),
+        "paper": PAPER,
     }
 
 
@@ -87,18 +78,3 @@ def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
 def success_interval(rows: Sequence[SuccessRow], share: str) -> Interval:
     """Return one of SHARES with its interval, clustered by task."""
     return ratio_interval([(row.task, float(SHARES[share](row)), 1.0) for row in rows], share=True)
-
-
-def task_table(rows: Sequence[SuccessRow]) -> TextTable:
-    """Return a line for each method, over all initial scenes and over the evaluation half, and
-    those of the paper."""
-    lines = []
-    for starts, some in (("all", rows), ("evaluation", [row for row in rows if row.evaluation])):
-        for method, method_rows in _by_method(some):
-            cells = [
-                interval_text(success_interval(method_rows, share), 100.0, 1) for share in SHARES
-            ]
-            lines.append([method, starts, str(len(method_rows)), *cells])
-    for name, success in PAPER.items():
-        lines.append([f"{name}*", "", "", "", f"{100 * success:.2f}", "", ""])
-    return TextTable(NOTE, ["method", "starts", "n", *COLUMNS], lines)

@@ -1,1 +1,0 @@
-"""Rendered images compared with photographs, and a model as judge."""
