@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.fit_tree import OtherSupport
-from neoworld_mjx.fit.refit import refit_tree, surface_of, with_supports, without_cycles
+from neoworld_mjx.fit.refit import refit_tree, surface_of
 from neoworld_mjx.spec import Box, Box2D, HollowBox
 from tests.support import answers, scenes
 
@@ -94,16 +93,3 @@ def test_supports_stay_on_request():
     fitted, report = refit_tree(on_table(truth), shapes, change_supports=False)
     assert fitted.node("cube").parent == "table"
     assert report.supports == {}
-
-
-def test_of_a_cycle_of_supports_the_change_with_the_larger_gain_stays():
-    tree = answers.exact()
-    changes = {
-        "left": OtherSupport("on table", "right", "on", 0.12, 20.0),
-        "right": OtherSupport("on table", "left", "on", 0.08, 30.0),
-    }
-    kept = without_cycles(tree, changes)
-    assert list(kept) == ["right"]
-    # What stands on another one is lifted with it.
-    lifted = with_supports(tree, {"left": changes["left"]})
-    assert lifted.node("can").box3d.position[2] == pytest.approx(0.08 + 0.12)

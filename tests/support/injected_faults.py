@@ -1,8 +1,4 @@
-"""Faults to inject into valid objects: kinds, magnitudes, and the faults that must be reported.
-
-A fault that counts contradicts physics or a declared intent. The faint magnitude of a kind does
-neither; it is part of the curve of detection, not of the score.
-"""
+"""Faults to inject into valid objects: kinds, magnitudes, and the faults that must be reported."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,9 +32,7 @@ class Kind:
     name: str
     causes: frozenset[Fault]
     """Reported faults that identify it."""
-    unit: str
     magnitudes: tuple[float, float, float]
-    faint: float | None
     inject: Inject
     repairable: bool
     """True if a patch can express its repair."""
@@ -317,37 +311,47 @@ def slippery(spec: ObjectSpec, friction: float) -> ObjectSpec | None:
 
 
 KINDS: tuple[Kind, ...] = (
-    Kind("axis_reversed", frozenset({Fault.AXIS_REVERSED}), "", (1.0, 1.0, 1.0), None,
-         reversed_axis, False),
-    Kind("joint_into_parent", frozenset({Fault.JOINT_INTO_PART, Fault.AXIS_REVERSED}), "deg",
-         (90.0, 135.0, 180.0), None, leaning_axis, False),
-    Kind("pivot_shifted_out", frozenset({Fault.PIVOT_OFF}), "of the diagonal", (0.12, 0.3, 0.6),
-         0.02, shifted_pivot, True),
-    Kind("pivot_shifted_in", frozenset({Fault.PIVOT_OFF}), "of the way in", (0.3, 0.6, 1.0),
-         0.01, inner_pivot, True),
-    Kind("limits_into_carcass", frozenset({Fault.LIMIT_INTO_PART}), "of the range",
-         (0.1, 0.3, 0.8), 0.001, limits_into_parent, True),
-    Kind("limits_narrow", frozenset({Fault.LIMITS_NARROW}), "of the range", (0.6, 0.3, 0.1),
-         0.85, narrow_limits, True),
-    Kind("no_damping", frozenset({Fault.JOINT_UNDAMPED}), "of it", (1e-4, 1e-5, 0.0), 0.3,
-         undamped, True),
-    Kind("inertia", frozenset({Fault.INERTIA_IMPOSSIBLE}), "times", (0.01, 1e-4, -1.0), 0.3,
-         odd_inertia, True),
-    Kind("mass", frozenset({Fault.MASS_IMPLAUSIBLE}), "times", (20.0, 100.0, 1000.0), 3.0,
-         heavy, True),
-    Kind("collider_large", frozenset({Fault.COLLIDER_LARGE}), "times", (1.2, 1.5, 2.0), 1.01,
-         large_collider, True),
-    Kind("collider_missing", frozenset({Fault.COLLIDER_MISSING}), "of the extent",
-         (0.4, 0.7, 0.95), 0.02, missing_collider, True),
-    Kind("part_detached", frozenset({Fault.PART_DETACHED}), "of the diagonal", (0.04, 0.1, 0.3),
-         0.002, detached, True),
-    Kind("part_interpenetrating", frozenset({Fault.PARTS_OVERLAP}), "of the least extent",
-         (0.2, 0.5, 0.9), 0.0, interpenetrating, True),
-    Kind("joint_type", frozenset({Fault.JOINT_TYPE}), "", (1.0, 2.0, 3.0), None, wrong_type, False),
-    Kind("off_balance", frozenset({Fault.OFF_BALANCE}), "of the half width", (0.1, 0.25, 0.5),
-         None, off_balance, False),
-    Kind("joint_stuck", frozenset({Fault.JOINT_STUCK}), "times a hand", (2.0, 5.0, 50.0), 0.05,
-         stuck, True),
-    Kind("friction", frozenset({Fault.FRICTION_IMPLAUSIBLE}), "", (0.03, 0.01, 0.0), 0.2,
-         slippery, False),
-)  # fmt: skip
+    Kind("axis_reversed", frozenset({Fault.AXIS_REVERSED}), (1.0, 1.0, 1.0), reversed_axis, False),
+    Kind(
+        "joint_into_parent",
+        frozenset({Fault.JOINT_INTO_PART, Fault.AXIS_REVERSED}),
+        (90.0, 135.0, 180.0),
+        leaning_axis,
+        False,
+    ),
+    Kind("pivot_shifted_out", frozenset({Fault.PIVOT_OFF}), (0.12, 0.3, 0.6), shifted_pivot, True),
+    Kind("pivot_shifted_in", frozenset({Fault.PIVOT_OFF}), (0.3, 0.6, 1.0), inner_pivot, True),
+    Kind(
+        "limits_into_carcass",
+        frozenset({Fault.LIMIT_INTO_PART}),
+        (0.1, 0.3, 0.8),
+        limits_into_parent,
+        True,
+    ),
+    Kind("limits_narrow", frozenset({Fault.LIMITS_NARROW}), (0.6, 0.3, 0.1), narrow_limits, True),
+    Kind("no_damping", frozenset({Fault.JOINT_UNDAMPED}), (1e-4, 1e-5, 0.0), undamped, True),
+    Kind("inertia", frozenset({Fault.INERTIA_IMPOSSIBLE}), (0.01, 1e-4, -1.0), odd_inertia, True),
+    Kind("mass", frozenset({Fault.MASS_IMPLAUSIBLE}), (20.0, 100.0, 1000.0), heavy, True),
+    Kind(
+        "collider_large", frozenset({Fault.COLLIDER_LARGE}), (1.2, 1.5, 2.0), large_collider, True
+    ),
+    Kind(
+        "collider_missing",
+        frozenset({Fault.COLLIDER_MISSING}),
+        (0.4, 0.7, 0.95),
+        missing_collider,
+        True,
+    ),
+    Kind("part_detached", frozenset({Fault.PART_DETACHED}), (0.04, 0.1, 0.3), detached, True),
+    Kind(
+        "part_interpenetrating",
+        frozenset({Fault.PARTS_OVERLAP}),
+        (0.2, 0.5, 0.9),
+        interpenetrating,
+        True,
+    ),
+    Kind("joint_type", frozenset({Fault.JOINT_TYPE}), (1.0, 2.0, 3.0), wrong_type, False),
+    Kind("off_balance", frozenset({Fault.OFF_BALANCE}), (0.1, 0.25, 0.5), off_balance, False),
+    Kind("joint_stuck", frozenset({Fault.JOINT_STUCK}), (2.0, 5.0, 50.0), stuck, True),
+    Kind("friction", frozenset({Fault.FRICTION_IMPLAUSIBLE}), (0.03, 0.01, 0.0), slippery, False),
+)
