@@ -1,10 +1,6 @@
 import json
 import os
-import random
-import signal
 import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -301,66 +297,3 @@ def test_a_full_file_system(tmp_path):
         assert _two_steps(disk / "out", "resume") == ["parse", "compose"]
     finally:
         subprocess.run(["umount", disk], check=True)
-
-
-_KILLED = """
-import sys, time
-from pathlib import Path
-from neoworld_mjx.config import Config
-from neoworld_mjx.run_folder import RunFolder
-out = Path(sys.argv[1])
-with RunFolder(out, Config(), "resume") as run:
-    print("begun", flush=True)
-    before = b""
-    for step in ("parse", "program/a", "program/b", "compose", "export"):
-        with run.step(step, {"before": before}) as stage:
-            if stage is not None:
-                with open(sys.argv[2], "a") as log:
-                    log.write(step + " ")
-                for i in range(20):
-                    (stage / f"{step.replace('/', '.')}_{i}").write_bytes(before + bytes([i]) * 999)
-                    time.sleep(0.0005)
-        before = (out / f"{step.replace('/', '.')}_3").read_bytes()
-    run.finish()
-"""
-
-
-def test_killed_at_random_moments_it_resumes_to_the_same_files(tmp_path):
-    def start(out):
-        return subprocess.Popen(
-            [sys.executable, "-c", _KILLED, str(out), str(tmp_path / "log")],
-            stdout=subprocess.PIPE,
-        )
-
-    with start(tmp_path / "whole") as process:
-        process.communicate()
-    assert process.returncode == 0
-    (tmp_path / "log").unlink()
-    draw = random.Random(0)
-    out = tmp_path / "killed"
-    kills = 0
-    while True:
-        with start(out) as process:
-            assert process.stdout is not None
-            process.stdout.readline()
-            time.sleep(
-                draw.uniform(0, 0.05 + 0.03 * kills)
-            )  # Longer and longer: machines are busy.
-            completed = read_run(out)["steps"] if (out / "run.json").exists() else {}
-            for name, entry in completed.items():
-                assert all((out / path).exists() for path in entry["outputs"]), name
-            process.send_signal(signal.SIGKILL)
-        if process.returncode == 0:
-            break
-        kills += 1
-        assert kills < 40
-
-    def contents(path):
-        hidden = (".lock", "run.json", "run.log")
-        return {p.name: p.read_bytes() for p in path.iterdir() if p.name not in hidden}
-
-    assert kills >= 2
-    assert contents(out) == contents(tmp_path / "whole")
-    assert read_run(out)["status"] == "finished"
-    # Each kill costs at most the one step that was under way.
-    assert len((tmp_path / "log").read_text().split()) <= 5 + kills

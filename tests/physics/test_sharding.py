@@ -68,7 +68,9 @@ def rollouts(kind, folder):
     return np.load(out)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("whole", marks=pytest.mark.slow), "stopped"])
+# tests/refinement/test_devices.py runs a search on eight devices.
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["whole", "stopped"])
 def test_four_devices_simulate_what_one_does_without_communication(kind, tmp_path):
     result = rollouts(kind, tmp_path)
     np.testing.assert_array_equal(result["status_4"], result["status_1"])
