@@ -8,7 +8,6 @@ from neoworld_mjx.compose.resting_pose import MARGIN, hold_joints, joint_loads
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.spec import (
     Box,
-    Mimic,
     ObjectSpec,
     SceneObject,
     SceneSpec,
@@ -74,29 +73,3 @@ def test_an_open_lid_stays_at_its_parsed_angle():
 def test_joints_without_a_load_do_not_change(hinge, state):
     obj = placed(chest(**hinge), joint_state={"hinge": state})
     assert hold_joints(obj) == (obj, {})
-
-
-def test_a_leader_bears_the_load_of_its_mimic_joints():
-    spec = chest()
-    flap = part("flap", geom("flap", Box(size=(0.1, 0.3, 0.02)), (0.15, 0, 0.05)))
-    hung = {"upper": 2.0, "axis": (0, -1, 0), "pos": (0.1, 0, 0.06)}
-    follower = joint(
-        "fold", "revolute", "body", "flap", mimic=Mimic(joint="hinge", multiplier=0.5), **hung
-    )
-    both = ObjectSpec(
-        name="chest", materials=(WOOD,), parts=(*spec.parts, flap), joints=(*spec.joints, follower)
-    )
-    lid = joint_loads(placed(spec, joint_state={"hinge": 0.4}))["hinge"]
-    alone = joint_loads(
-        placed(
-            both.model_copy(
-                update={
-                    "joints": (spec.joints[0], joint("fold", "revolute", "body", "flap", **hung))
-                }
-            ),
-            joint_state={"hinge": 0.4, "fold": 0.2},
-        )
-    )["fold"]
-    loads = joint_loads(placed(both, joint_state={"hinge": 0.4}))
-    assert loads["fold"] == 0.0 and alone < 0
-    assert loads["hinge"] == pytest.approx(lid + 0.5 * alone)

@@ -235,13 +235,6 @@ def test_built_shapes_replace_outlines():
     assert np.allclose(ratio, ratio[0], rtol=1e-3)
 
 
-def test_a_parse_of_supports_alone_has_nothing_to_fit():
-    tree = answers.exact(answers.answer())
-    fitted, report = fit_tree(tree)
-    assert fitted is tree
-    assert "no object" in report.reason
-
-
 def extents(camera, points, edges):
     owners = np.zeros(len(edges), int)
     return extents_in_picture(camera, points[None], edges, owners)[0]

@@ -7,7 +7,7 @@ from neoworld_mjx.fit.fit_data import hidden_sides
 from neoworld_mjx.fit.priors import camera_sd
 from neoworld_mjx.fit.tree_checks import agreement, check_score, check_tree
 from neoworld_mjx.measure import SidesShown
-from neoworld_mjx.spec import Box2D, PartState
+from neoworld_mjx.spec import Box2D
 from tests.support import answers
 
 
@@ -136,29 +136,6 @@ def test_hidden_sides_do_not_lower_the_agreement():
     # Where its extreme point is out of the picture they say nothing of that side.
     shown = SidesShown(sides(0, 1, 1, 1), sides(0, 1, 1, 1))
     assert hidden_sides(hidden, hidden.node("right"), shown).tolist() == [True, False, False, False]
-
-
-def test_a_slab_above_a_listed_floor_is_no_error_and_furniture_may_have_moving_parts():
-    tree = answers.exact()
-    floor = tree.node("table").model_copy(
-        update={
-            "name": "floor",
-            "label": "floor",
-            "box3d": tree.node("table").box3d.model_copy(update={"position": (0.9, 0.0, -0.8)}),
-        }
-    )
-    nodes = (floor, *tree.nodes)
-    above = answers.with_node(tree.model_copy(update={"nodes": nodes}), "table", parent="floor")
-    assert check_tree(above) == ()
-    cup = answers.with_node(above, "right", parent="floor")
-    assert codes(cup, "right")["gap_m"].severity == "error"
-    knob = (PartState(part="knob", type="continuous"),)
-    built = answers.with_node(tree, "table", articulation=knob, furniture=True)
-    assert "environment" not in codes(built, "table")
-    assert (
-        "furniture"
-        in codes(answers.with_node(tree, "table", articulation=knob), "table")["environment"].hint
-    )
 
 
 def test_the_stated_uncertainty_of_a_measured_camera_widens_its_prior():
