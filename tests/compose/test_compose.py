@@ -181,7 +181,7 @@ def test_a_cup_in_a_bowl_stands_on_the_bowls_floor_and_not_on_its_rim():
     assert world_poses(result.scene)["cup"].pos[2] == pytest.approx(0.0042, abs=5e-4)
 
 
-@pytest.mark.parametrize("off", [0.0, 0.01, 0.06])
+@pytest.mark.parametrize("off", [0.01, 0.06])
 def test_an_object_parsed_across_a_rim_stands_on_the_floor_inside(off):
     profile = ((0, 0), (0.04, 0), (0.06, 0.07))
     pot = scenes.single("pot", (Lathe(profile=profile, thickness=0.004), (0, 0, 0)))
@@ -191,7 +191,7 @@ def test_an_object_parsed_across_a_rim_stands_on_the_floor_inside(off):
     at = world_poses(result.scene)["small"].pos
     # At the position nearest to the parsed one that the wall permits.
     assert at[1] == pytest.approx(min(off, 0.0038), abs=5e-4) and at[2] < 0.006
-    assert len(result.notes) == (off > 0)
+    assert len(result.notes) == 1
     if off > 0.05:
         # With the relation "on" it may stand on the rim.
         on = small.model_copy(update={"relation": "on"})

@@ -79,10 +79,9 @@ def test_an_object_far_from_its_parsed_support_is_on_the_object_below_it():
         (tray(), cube(0.85, 0, 0.01, parent="tray", relation="in")),
     ],
 )
-@pytest.mark.parametrize("off", [(0, 0), (0.02, 0.01), (-0.02, 0.01)])
-def test_a_correct_support_stays(things, off):
+def test_a_correct_support_stays(things):
     truth, shapes = photographed(*things)
-    answer = answers.moved(truth, "cube", (*off, 0.0))
+    answer = answers.moved(truth, "cube", (0.02, 0.01, 0.0))
     fitted, report = refit_tree(answer, shapes)
     assert report.supports == {}
     assert fitted.node("cube").parent == truth.node("cube").parent

@@ -5,6 +5,7 @@ Each family is a program with parameters, and declares the intents of its joints
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from string import Template
 
 from neoworld_mjx.config import ProgramOptions
@@ -231,6 +232,7 @@ def valid_objects(count: int | None = None) -> Iterator[ObjectSpec]:
         yield valid_object(name, k)
 
 
+@cache
 def valid_object(name: str, k: int) -> ObjectSpec:
     """Build the k-th object of a family.
 
