@@ -30,7 +30,7 @@ class Kind:
     """One kind of fault."""
 
     name: str
-    causes: frozenset[Fault]
+    causes: tuple[Fault, ...]
     """Reported faults that identify it."""
     magnitudes: tuple[float, float, float]
     inject: Inject
@@ -311,47 +311,29 @@ def slippery(spec: ObjectSpec, friction: float) -> ObjectSpec | None:
 
 
 KINDS: tuple[Kind, ...] = (
-    Kind("axis_reversed", frozenset({Fault.AXIS_REVERSED}), (1.0, 1.0, 1.0), reversed_axis, False),
+    Kind("axis_reversed", (Fault.AXIS_REVERSED,), (1.0, 1.0, 1.0), reversed_axis, False),
     Kind(
         "joint_into_parent",
-        frozenset({Fault.JOINT_INTO_PART, Fault.AXIS_REVERSED}),
+        (Fault.JOINT_INTO_PART, Fault.AXIS_REVERSED),
         (90.0, 135.0, 180.0),
         leaning_axis,
         False,
     ),
-    Kind("pivot_shifted_out", frozenset({Fault.PIVOT_OFF}), (0.12, 0.3, 0.6), shifted_pivot, True),
-    Kind("pivot_shifted_in", frozenset({Fault.PIVOT_OFF}), (0.3, 0.6, 1.0), inner_pivot, True),
+    Kind("pivot_shifted_out", (Fault.PIVOT_OFF,), (0.12, 0.3, 0.6), shifted_pivot, True),
+    Kind("pivot_shifted_in", (Fault.PIVOT_OFF,), (0.3, 0.6, 1.0), inner_pivot, True),
     Kind(
-        "limits_into_carcass",
-        frozenset({Fault.LIMIT_INTO_PART}),
-        (0.1, 0.3, 0.8),
-        limits_into_parent,
-        True,
+        "limits_into_carcass", (Fault.LIMIT_INTO_PART,), (0.1, 0.3, 0.8), limits_into_parent, True
     ),
-    Kind("limits_narrow", frozenset({Fault.LIMITS_NARROW}), (0.6, 0.3, 0.1), narrow_limits, True),
-    Kind("no_damping", frozenset({Fault.JOINT_UNDAMPED}), (1e-4, 1e-5, 0.0), undamped, True),
-    Kind("inertia", frozenset({Fault.INERTIA_IMPOSSIBLE}), (0.01, 1e-4, -1.0), odd_inertia, True),
-    Kind("mass", frozenset({Fault.MASS_IMPLAUSIBLE}), (20.0, 100.0, 1000.0), heavy, True),
-    Kind(
-        "collider_large", frozenset({Fault.COLLIDER_LARGE}), (1.2, 1.5, 2.0), large_collider, True
-    ),
-    Kind(
-        "collider_missing",
-        frozenset({Fault.COLLIDER_MISSING}),
-        (0.4, 0.7, 0.95),
-        missing_collider,
-        True,
-    ),
-    Kind("part_detached", frozenset({Fault.PART_DETACHED}), (0.04, 0.1, 0.3), detached, True),
-    Kind(
-        "part_interpenetrating",
-        frozenset({Fault.PARTS_OVERLAP}),
-        (0.2, 0.5, 0.9),
-        interpenetrating,
-        True,
-    ),
-    Kind("joint_type", frozenset({Fault.JOINT_TYPE}), (1.0, 2.0, 3.0), wrong_type, False),
-    Kind("off_balance", frozenset({Fault.OFF_BALANCE}), (0.1, 0.25, 0.5), off_balance, False),
-    Kind("joint_stuck", frozenset({Fault.JOINT_STUCK}), (2.0, 5.0, 50.0), stuck, True),
-    Kind("friction", frozenset({Fault.FRICTION_IMPLAUSIBLE}), (0.03, 0.01, 0.0), slippery, False),
+    Kind("limits_narrow", (Fault.LIMITS_NARROW,), (0.6, 0.3, 0.1), narrow_limits, True),
+    Kind("no_damping", (Fault.JOINT_UNDAMPED,), (1e-4, 1e-5, 0.0), undamped, True),
+    Kind("inertia", (Fault.INERTIA_IMPOSSIBLE,), (0.01, 1e-4, -1.0), odd_inertia, True),
+    Kind("mass", (Fault.MASS_IMPLAUSIBLE,), (20.0, 100.0, 1000.0), heavy, True),
+    Kind("collider_large", (Fault.COLLIDER_LARGE,), (1.2, 1.5, 2.0), large_collider, True),
+    Kind("collider_missing", (Fault.COLLIDER_MISSING,), (0.4, 0.7, 0.95), missing_collider, True),
+    Kind("part_detached", (Fault.PART_DETACHED,), (0.04, 0.1, 0.3), detached, True),
+    Kind("part_interpenetrating", (Fault.PARTS_OVERLAP,), (0.2, 0.5, 0.9), interpenetrating, True),
+    Kind("joint_type", (Fault.JOINT_TYPE,), (1.0, 2.0, 3.0), wrong_type, False),
+    Kind("off_balance", (Fault.OFF_BALANCE,), (0.1, 0.25, 0.5), off_balance, False),
+    Kind("joint_stuck", (Fault.JOINT_STUCK,), (2.0, 5.0, 50.0), stuck, True),
+    Kind("friction", (Fault.FRICTION_IMPLAUSIBLE,), (0.03, 0.01, 0.0), slippery, False),
 )
