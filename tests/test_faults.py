@@ -108,7 +108,6 @@ def lost_provider(monkeypatch, count: int) -> None:
     [
         ("killed", 3),
         pytest.param("killed", 25, marks=pytest.mark.slow),
-        (full_disk, 0),
         (full_disk, 12),
         (lost_provider, 0),
     ],

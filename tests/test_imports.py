@@ -46,11 +46,11 @@ def imported(node, package, names):
 def import_graph():
     """Modules that each module imports, inside functions too."""
     files = modules()
-    graph = {}
+    names, graph = set(files), {}
     for name, path in files.items():
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        targets = (imported(node, package, set(files)) for node in import_nodes(tree))
+        targets = (imported(node, package, names) for node in import_nodes(tree))
         graph[name] = set().union(*targets) - {name}
     return graph
 

@@ -244,7 +244,8 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     calls = []
     monkeypatch.setattr(place, "align_final", again)
     run = shutil.copytree(example_run[0], tmp_path / "run")
-    refine_again(run)
+    small = {"render": {"width": 96, "supersample": 1}}
+    refine_again(run, None, small)
     assert calls[0][0] == read_scene(run / "compose" / "scene.json") and not calls[0][2]
     assert read_scene(run / "scene.json").object("cup").yaw == 0.25
     data = json.loads((run / "run.json").read_text())
@@ -252,9 +253,7 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     assert note["step"] == "refine" and note["what"].startswith("1 object") and "cup" in note["why"]
     fails = lambda composed, refined, *options, keep: FinalAlignment(refined, failure="singular")
     monkeypatch.setattr(place, "align_final", fails)
-    assert any(f["why"] == "singular" for f in refine_again(run).fallbacks)
-    monkeypatch.setattr(place, "align_final", None)  # It is not called.
-    refine_again(run, None, {"compose": {"align": {"final": False}}})
+    assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)
 
 
 def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):

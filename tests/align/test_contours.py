@@ -87,29 +87,6 @@ def test_weak_contrast_does_not_pull_to_no_displacement(shift):
     assert 0.98 * shift < fitted[0] < 1.06 * shift
 
 
-def test_one_color_on_both_sides_has_no_precision():
-    plain = np.full((*SHAPE, 3), 128, np.uint8)
-    _, moved = measured(drawn_disc(), plain)
-    assert moved.precision.max() < 1e-9
-    noisy = photographed(MIDDLE, inner=GRAY)
-    _, informed = measured(drawn_disc(), photographed(MIDDLE))
-    assert measured(drawn_disc(), noisy)[1].precision.mean() < 0.02 * informed.precision.mean()
-
-
-def test_only_the_side_with_another_color_counts():
-    """Left of its middle, what is behind has the disc's color."""
-    drawn = drawn_disc()
-    owner = np.where((drawn.owner < 0) & (np.arange(320) < 160), 1, drawn.owner)
-    depth = np.where(owner == 1, 2.0, drawn.depth)
-    photo = photographed(MIDDLE)
-    photo[:, :160] = RED
-    points, moved = measured(DrawnObjects(owner, depth), photo)
-    assert set(np.unique(points.behind)) == {-1, 1}
-    left, right = points.pixel[:, 0] < 145, points.pixel[:, 0] > 175
-    assert moved.precision[right].min() > 20 * moved.precision[left].max()
-    assert np.abs(moved.value[right]).mean() < 0.5
-
-
 def two(front):
     """A rectangle at columns 100 to 200 whose right part another one, from 160 on, overlaps."""
     owner, depth = np.full(SHAPE, -1), np.full(SHAPE, np.inf)
@@ -147,7 +124,3 @@ def test_contours_at_the_border_of_the_image_do_not_count():
     assert cut.length.sum() < 0.7 * 2 * np.pi * RADIUS
     owner = np.zeros(SHAPE, int)
     assert contour(DrawnObjects(owner, np.ones(SHAPE)), 0) is None
-
-
-def test_an_invisible_object_has_no_contour():
-    assert contour(drawn_disc(), 1) is None

@@ -77,29 +77,6 @@ def test_the_residual_of_a_box_is_the_displacement(five):
         assert np.abs(change).max() > 0.6
 
 
-def test_hidden_sides_and_sides_at_the_border_do_not_count():
-    scene = desk.boxed(
-        desk.on_desk(
-            (desk.block("back", 0.1, 0.3, 0.1, "red"), (0.0, 0.0), 0.0, {}),
-            (desk.block("front", 0.05, 0.1, 0.2, "blue"), (-0.15, 0.12), 0.0, {}),
-            (desk.block("cut", 0.2, 0.2, 0.1, "green"), (-0.1, 0.38), 0.0, {}),
-        )
-    )
-    right = Linearized(scene)
-    x0, _, x1, _ = scene.object("back").box2d.as_tuple()
-    assert right.drawn.owner[:, int(x0) - 2 : int(x0)].max() == 2
-    assert right.box(1).residual.shape == (3,)
-    assert scene.object("cut").box2d.x0 == 0.0
-    assert right.box(3).residual.shape[0] in (2, 3)
-    horizontal = np.abs(right.box(3).jacobian[:, right.unknowns.columns(3)][:, 1]) > 100
-    assert horizontal.sum() == 1
-    bare = scene.model_copy(
-        update={"objects": tuple(o.model_copy(update={"box2d": None}) for o in scene.objects)}
-    )
-    assert Linearized(bare).box(1) is None
-    assert x1 > x0
-
-
 def test_a_contour_says_where_its_object_is(five, image):
     right = Linearized(five)
     x = np.zeros(right.unknowns.size)

@@ -90,16 +90,6 @@ def test_rendered_prints_move_with_the_drawer(result):
     assert closed.color[160, 200][0] > 2 * closed.color[160, 200][2]
 
 
-def test_prints_scale_with_their_object(result):
-    spec = result.objects[0].spec
-    (own,) = spec.part("case").geoms
-    (large,) = spec.scaled(2.0).part("case").geoms
-    one, other = (
-        visible_surface(s, "case", g) for s, g in ((spec, own), (spec.scaled(2.0), large))
-    )
-    assert np.allclose(other[0], 2 * one[0]) and np.allclose(other[2], one[2], atol=1e-5)
-
-
 def test_formats_contain_prints_and_mark_them(result, tmp_path):
     write_formats(result, tmp_path, ["mjcf", "usd", "usdz", "glb"])
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))

@@ -4,23 +4,13 @@ import math
 
 import pytest
 
-from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.compose.resting_pose import MARGIN, hold_joints, joint_loads
-from neoworld_mjx.config import ComposeOptions
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.spec import (
     Box,
-    Box2D,
-    Box3D,
-    Camera,
-    Mimic,
     ObjectSpec,
-    PartState,
     SceneObject,
     SceneSpec,
-    SceneTree,
-    TreeNode,
-    bounds,
     inertial,
 )
 from tests.support import scenes
@@ -83,65 +73,3 @@ def test_an_open_lid_stays_at_its_parsed_angle():
 def test_joints_without_a_load_do_not_change(hinge, state):
     obj = placed(chest(**hinge), joint_state={"hinge": state})
     assert hold_joints(obj) == (obj, {})
-
-
-def test_a_leader_bears_the_load_of_its_mimic_joints():
-    spec = chest()
-    flap = part("flap", geom("flap", Box(size=(0.1, 0.3, 0.02)), (0.15, 0, 0.05)))
-    hung = {"upper": 2.0, "axis": (0, -1, 0), "pos": (0.1, 0, 0.06)}
-    follower = joint(
-        "fold", "revolute", "body", "flap", mimic=Mimic(joint="hinge", multiplier=0.5), **hung
-    )
-    both = ObjectSpec(
-        name="chest", materials=(WOOD,), parts=(*spec.parts, flap), joints=(*spec.joints, follower)
-    )
-    lid = joint_loads(placed(spec, joint_state={"hinge": 0.4}))["hinge"]
-    alone = joint_loads(
-        placed(
-            both.model_copy(
-                update={
-                    "joints": (spec.joints[0], joint("fold", "revolute", "body", "flap", **hung))
-                }
-            ),
-            joint_state={"hinge": 0.4, "fold": 0.2},
-        )
-    )["fold"]
-    loads = joint_loads(placed(both, joint_state={"hinge": 0.4}))
-    assert loads["fold"] == 0.0 and alone < 0
-    assert loads["hinge"] == pytest.approx(lid + 0.5 * alone)
-
-
-def test_composition_holds_joints_and_notes_it():
-    spec = chest(friction=0.01)
-    size = tuple((bounds(spec, {"hinge": OPEN})[1] - bounds(spec, {"hinge": OPEN})[0]).tolist())
-    pixels = Box2D(x0=10, y0=10, x1=100, y1=100)
-    tree = SceneTree(
-        camera=Camera(width=640, height_px=480, fovy=0.8, height=1.0, pitch=0.6),
-        nodes=(
-            TreeNode(
-                name="table",
-                label="table",
-                environment=True,
-                box2d=pixels,
-                box3d=Box3D(position=(1.0, 0, -0.04), size=(0.6, 0.8, 0.04)),
-            ),
-            TreeNode(
-                name="chest",
-                label="chest",
-                parent="table",
-                box2d=pixels,
-                box3d=Box3D(position=(1.0, 0, 0), size=size),
-                articulation=(PartState(part="lid", type="revolute", opening=OPEN / 2.0),),
-            ),
-        ),
-    )
-    objects = {"table": scenes.table(), "chest": spec}
-    composed = compose(tree, objects)
-    after = composed.scene.object("chest").spec.joint("hinge").friction
-    assert after > 0.05
-    assert composed.notes == (
-        f"chest: composition raised the dry friction of joint hinge from 0.01 to {after:.2g} N m, "
-        "because gravity would move it from its parsed position",
-    )
-    plain = compose(tree, objects, ComposeOptions(hold_joints=False))
-    assert plain.scene.object("chest").spec == spec and plain.notes == ()

@@ -29,25 +29,6 @@ def test_a_patch_changes_only_the_objects_that_it_names():
     assert all(moved.object(n) == scene.object(n) for n in others)
 
 
-def test_later_edits_override_only_the_fields_that_they_set():
-    patch = LayoutPatch().merged("door", ObjectPlacement(xy=(1, 2), joint_state={"hinge": 0.5}))
-    patch = patch.merged("door", ObjectPlacement(yaw=0.1, joint_state={"lock": 1.0}))
-    expected = ObjectPlacement(xy=(1, 2), yaw=0.1, joint_state={"hinge": 0.5, "lock": 1.0})
-    assert patch.objects["door"] == expected
-
-
-def test_unknown_objects_and_joints_are_named():
-    scene = scenes.blocks()
-    known = scene.objects[0].name
-    patch = LayoutPatch(
-        objects={
-            "ghost": ObjectPlacement(yaw=1.0),
-            known: ObjectPlacement(joint_state={"no_joint": 1.0}),
-        }
-    )
-    assert apply_layout(scene, patch)[1] == ("ghost", f"{known}/no_joint")
-
-
 def test_the_file_round_trips_and_an_invalid_one_is_an_error(tmp_path):
     patch = LayoutPatch().merged("cup", ObjectPlacement(xy=(0.1, 0.2)))
     write_layout_patch(tmp_path, patch)

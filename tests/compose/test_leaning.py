@@ -104,18 +104,3 @@ def test_a_wall_moves_up_to_what_leans_on_it():
     assert brought == {"wall": pytest.approx(0.05, abs=1e-3)}
     assert after.object("board") == before.object("board")
     assert not lean(after)[1]
-
-
-@pytest.mark.parametrize("relation", ["on", "leaning"])
-def test_a_wall_does_not_move_into_what_touches_it(relation):
-    scene = leaning_scene(0.05)
-    before = scenes.changed(scene, "block", xy=(0.5 - 0.0251, 0.5), relation=relation)
-    after, brought = move_walls_into_contact(before)
-    assert not brought
-    assert after == before
-
-
-def test_a_wall_that_supports_something_does_not_move():
-    scene = leaning_scene(0.05)
-    before = scenes.changed(scene, "block", parent="wall", xy=(0.0, 0.5), z=1.0)
-    assert move_walls_into_contact(before) == (before, {})

@@ -55,12 +55,6 @@ def test_a_move_on_the_same_level_is_kept():
     assert not notes
 
 
-def test_without_the_composed_scene_nothing_is_refused():
-    aligned = rack_and_peg((0.004, 0.0))
-    scene, _ = in_contact(aligned)
-    assert scene.object("peg").xy == (0.004, 0.0)
-
-
 @pytest.mark.parametrize(("x", "kept"), [(0.12, True), (0.09, False), (-0.5, True)])
 def test_a_move_past_the_end_of_what_carries_it_is_refused(x, kept):
     """Nothing is below it there, so that snapping keeps its height."""

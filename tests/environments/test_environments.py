@@ -122,6 +122,7 @@ def test_vmapped_environments_step(scene):
     assert not state.done.any() and state.info["step"].tolist() == [30, 30]
 
 
+@pytest.mark.slow
 def test_the_policy_notebook_learns_on_a_simpler_drawer(scene):
     """The notebook's own cabinet compiles for 20 s; all else is as it stands."""
     chest = scene.object("chest").spec
@@ -146,6 +147,6 @@ def test_rendered_images_show_the_current_state(scene):
     env = nw.gym_env(scene, picture=(24, 36))
     first, _ = env.reset(seed=0)
     assert env.observation_space.contains(first)
-    for _ in range(60):
+    for _ in range(20):
         obs, *_ = env.step(np.array([0.2], np.float32))
     assert np.abs(obs["picture"].astype(int) - first["picture"]).max() > 20

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.fit_tree import OtherSupport
-from neoworld_mjx.fit.refit import refit_tree, surface_of, with_supports, without_cycles
+from neoworld_mjx.fit.refit import refit_tree, surface_of
 from neoworld_mjx.spec import Box, Box2D, HollowBox
 from tests.support import answers, scenes
 
@@ -80,10 +79,9 @@ def test_an_object_far_from_its_parsed_support_is_on_the_object_below_it():
         (tray(), cube(0.85, 0, 0.01, parent="tray", relation="in")),
     ],
 )
-@pytest.mark.parametrize("off", [(0, 0), (0.02, 0.01), (-0.02, 0.01)])
-def test_a_correct_support_stays(things, off):
+def test_a_correct_support_stays(things):
     truth, shapes = photographed(*things)
-    answer = answers.moved(truth, "cube", (*off, 0.0))
+    answer = answers.moved(truth, "cube", (0.02, 0.01, 0.0))
     fitted, report = refit_tree(answer, shapes)
     assert report.supports == {}
     assert fitted.node("cube").parent == truth.node("cube").parent
@@ -94,16 +92,3 @@ def test_supports_stay_on_request():
     fitted, report = refit_tree(on_table(truth), shapes, change_supports=False)
     assert fitted.node("cube").parent == "table"
     assert report.supports == {}
-
-
-def test_of_a_cycle_of_supports_the_change_with_the_larger_gain_stays():
-    tree = answers.exact()
-    changes = {
-        "left": OtherSupport("on table", "right", "on", 0.12, 20.0),
-        "right": OtherSupport("on table", "left", "on", 0.08, 30.0),
-    }
-    kept = without_cycles(tree, changes)
-    assert list(kept) == ["right"]
-    # What stands on another one is lifted with it.
-    lifted = with_supports(tree, {"left": changes["left"]})
-    assert lifted.node("can").box3d.position[2] == pytest.approx(0.08 + 0.12)

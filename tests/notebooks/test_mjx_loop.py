@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from neoworld_mjx.physics.native import NativeEngine
 
@@ -13,6 +14,7 @@ PAGE = ROOT / "docs/how-to/simulate-with-mjx.md"
 SCENE = ROOT / "benchmarks/neoworld_bench/photographs/real/coffee.json"
 
 
+@pytest.mark.slow
 def test_the_pages_loop_steps_as_mujoco_does(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert code.count("\n") <= 20

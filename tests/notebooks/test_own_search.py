@@ -5,12 +5,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/how-to/write-your-own-search.md"
 SCENE = ROOT / "benchmarks/neoworld_bench/photographs/real/coffee.json"
 
 
+@pytest.mark.slow
 def test_the_pages_search_improves_its_population(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
     assert code.count("\n") <= 50

@@ -2,8 +2,7 @@
 
 Of the slow ones, the default suite makes the same calls elsewhere: Algorithm 1 by hand in
 tests/refinement/test_algorithm.py, one program for several weights in tests/refinement/test_cem.py,
-a reward of the rollout in tests/refinement/test_rewards.py, a loop over MJX steps in
-test_mjx_loop.py.
+gradients in test_gradients.py, a reward of the rollout in test_rewards.py there.
 """
 
 import json
@@ -59,6 +58,7 @@ def test_a_reward_reads_the_rollout(capsys):
     assert 0 <= speed < 0.05
 
 
+@pytest.mark.slow
 def test_gradient_steps_reduce_the_penetration(capsys):
     depths = numbers(r"D_pen ([\d.]+) mm", run("4_gradient_step.py", capsys))
     assert depths[0] > 5 and depths[-1] < 0.05 * depths[0]

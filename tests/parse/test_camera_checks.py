@@ -1,5 +1,7 @@
 import copy
+import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,8 +32,16 @@ def table(*, tilt=None, label="box"):
     return answers.answer(*boxes, **SEEN)
 
 
-def picture(data, *, noise=0.0, finer=4):
+def picture(data, *, noise=0.0):
+    """Draw a response's boxes; equal responses are drawn once."""
+    data, photo = _drawn(json.dumps(data), noise)
+    return copy.deepcopy(data), photo
+
+
+@cache
+def _drawn(text, noise, finer=4):
     """Draw a response's boxes, with true 2D boxes in the response."""
+    data = json.loads(text)
     tree = answers.exact(data)
     width, height = answers.SIZE
     image = Image.new("RGB", (finer * width, finer * height), (120, 90, 60))
@@ -48,7 +58,6 @@ def picture(data, *, noise=0.0, finer=4):
             draw.polygon([tuple(pixels[k]) for k in face], fill=ink)
     pixels = np.array(image.resize(answers.SIZE, Image.Resampling.BOX), float)
     pixels += noise * np.random.default_rng(0).normal(size=pixels.shape)
-    data = copy.deepcopy(data)
     for obj in data["objects"]:
         box = tree.node(obj["name"]).box2d.as_tuple()
         obj["box"] = dict(zip(("left", "top", "right", "bottom"), box, strict=True))
@@ -124,7 +133,7 @@ def test_the_model_is_asked_once():
     data, photo = picture(table())
     wrong = placed_by_pixels(data, photo)
     right = {"camera": data["camera"], "objects": []}
-    parsed, names, requests = run(wrong, GOOD, right, GOOD, photo=photo)
+    parsed, names, requests = run(wrong, GOOD, right, GOOD, photo=photo, fit=False)
     assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
     assert "1. the camera: " in requests[1].prompt
     assert "- the camera: " in requests[2].prompt
@@ -133,7 +142,7 @@ def test_the_model_is_asked_once():
     assert parsed.checks == ()
     # A model that insists is not asked again, although a second round is left.
     same = {"camera": {**wrong["camera"], "height": 0.6}}
-    parsed, names, _ = run(wrong, GOOD, same, GOOD, photo=photo, critic_rounds=2)
+    parsed, names, _ = run(wrong, GOOD, same, GOOD, photo=photo, critic_rounds=2, fit=False)
     assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
     assert [issue.severity for issue in parsed.rounds[1].checks] == ["warning"]
 

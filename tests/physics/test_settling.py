@@ -87,6 +87,7 @@ def test_settling_is_measured_in_units_of_its_bounds(settled):
     assert by["slab"] == pytest.approx(np.radians(3.4) / TILT_BOUND_LYING, rel=0.05)
 
 
+@pytest.mark.slow  # tests/physics/test_engines.py compares the engines, too.
 def test_native_and_mjx_settle_candidates_at_the_same_places():
     model = compile_scene(overlapping(), samples=16)
     xy = np.zeros((4, 3, 2), np.float32)

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from tests.support.simulated_devices import run_with_devices
 
@@ -57,6 +58,8 @@ np.savez(out, programs=[program.as_text() for program in programs.values()], **s
 """
 
 
+# tests/refinement/test_devices.py runs a search on eight devices.
+@pytest.mark.slow
 def test_four_devices_simulate_what_one_does_without_communication(tmp_path):
     out = tmp_path / "rollouts.npz"
     run_with_devices(4, SCRIPT, str(out))

@@ -92,7 +92,7 @@ def test_the_step_is_kept_and_its_programs_go_with_it(folder):
 
     before = json.loads((folder / "run.json").read_text())["steps"]["compose"]["seconds"]
     assert compose_again(CONFIG) == before
-    compose_again(load_config(None, {"compose": {"looks": False}}))
+    compose_again(load_config(None, {"compose": {"looks": False, "align": {"enabled": False}}}))
     home = folder / "objects" / "brick"
     assert (home / "program.py").read_text() == WRONG
     assert (home / "spec.json").read_text() == patched(WRONG).to_json()

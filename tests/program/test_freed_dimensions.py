@@ -83,8 +83,8 @@ def shot(right):
     [
         # Up to a quarter of the error of 10 %.
         ("WIDTH", 0.077, 0.025),
-        ("WIDTH", 0.063, 0.025),
-        ("DEPTH", 0.108, 0.025),
+        pytest.param("WIDTH", 0.063, 0.025, marks=pytest.mark.slow),
+        pytest.param("DEPTH", 0.108, 0.025, marks=pytest.mark.slow),
         # The camera looks down on the brick, and shows least of its height.
         ("HEIGHT", 0.05, 0.03),
     ],

@@ -3,6 +3,7 @@
 Each family is a program with parameters, and declares the intents of its joints.
 """
 
+from functools import cache
 from string import Template
 from typing import NamedTuple
 
@@ -118,6 +119,7 @@ FAMILIES = {
 }
 
 
+@cache
 def valid_object(name: str) -> ObjectSpec:
     """Build the object of a family.
 

@@ -32,12 +32,6 @@ def block(tmp_path):
     return read_template(path)
 
 
-def test_parameters_are_constants_with_a_range(block):
-    assert list(block.parameters) == ["depth", "width", "height", "bores", "wood"]
-    assert (block.label, block.partnet) == ("block", "")
-    assert block.parameters["depth"].unit == "m"
-
-
 def test_an_instance_differs_only_in_its_constants(block):
     changed = block.program({"depth": 0.25, "bores": 3, "wood": "pine"})
     pairs = zip(SMALL.splitlines(), changed.splitlines(), strict=True)
@@ -95,14 +89,9 @@ def test_a_broken_template_is_named(tmp_path, old: str, new: str, message: str):
         read_template(path)
 
 
-def test_an_unknown_template_is_named():
-    with pytest.raises(SpecError, match="did you mean 'drawer_cabinet'"):
-        template("drawer_cabinets")
-
-
-# One of eight; the slow run builds all.
+# One of sixteen; the slow run builds all.
 CASES = [
-    pytest.param(name, marks=[pytest.mark.slow] if k % 8 else [])
+    pytest.param(name, marks=[pytest.mark.slow] if k % 16 else [])
     for k, name in enumerate(templates())
 ]
 
