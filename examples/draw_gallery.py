@@ -1,4 +1,4 @@
-"""Draw the pictures of README and docs/gallery.md from runs of the bundled examples.
+"""Draw the pictures of README and docs from runs of the bundled examples.
 
     uv run neoworld bench run examples --out runs --json
     uv run python examples/draw_gallery.py runs/replay docs/pictures

@@ -2,8 +2,8 @@
 
 Errors of joints in programs: missing and extra joints; wrong types, axes, pivots and ranges.
 
-Rates and magnitudes were measured on twelve objects with 29 joints (docs/benchmarks.md, "Objects
-from pictures" and "One program against three").
+Rates and magnitudes were measured on twelve objects with 29 joints (docs/results.md, "Objects
+from pictures").
 """
 
 import math
