@@ -137,7 +137,7 @@ class SceneSet(NoisyRuns):
     """Folder of the rows; rows that it already contains are not run again."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
-    scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark.md)."""
+    scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,7 +241,7 @@ class Engines:
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
     """Score reconstructions of real photographs against a sensor's depth and true poses, in the
-    layout of your copy of a data set. Nothing is downloaded; docs/benchmark.md has the layouts.
+    layout of your copy of a data set. Nothing is downloaded; docs/real-poses.md has the layouts.
     """
 
     data: Positional[Path | None] = None
@@ -275,7 +275,7 @@ class ObjectSuite:
 @dataclass(frozen=True, kw_only=True)
 class PictureSuite(SceneFolders):
     """Compare rendered images of scenes with the photographs: SSIM, and LPIPS, CLIP, DINOv2 and
-    Uni3D if their ONNX files are given (docs/benchmark.md).
+    Uni3D if their ONNX files are given (docs/measures.md).
     """
 
     clip: Path | None = None

@@ -249,7 +249,7 @@ def true_views(data: Path, names: Collection[str]) -> Iterator[TrueView]:
     if is_depth_folder(data):
         return depth_views(data, names)
     raise SpecError(
-        f"{data} has neither scene_gt.json (BOP) nor NAME-depth.png; docs/benchmark.md has the "
+        f"{data} has neither scene_gt.json (BOP) nor NAME-depth.png; docs/real-poses.md has the "
         "layouts"
     )
 
@@ -281,7 +281,7 @@ def score_real_views(
     if not rows:
         raise SpecError(
             f"{data}: no view with a reconstruction is named {', '.join(names[:8])}; run folders "
-            "are named after the views (docs/benchmark.md)"
+            "are named after the views (docs/real-poses.md)"
         )
     return (
         [row for row in rows if isinstance(row, RealViewRow)],
