@@ -15,7 +15,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GENERATED = {"options.md", "differences-from-the-paper.md"}
 COMMAND = re.compile(r"^    (?:uv run )?(?:--extra \w+ )?(?:[A-Z]+=\S+ )?(neoworld .*)", re.M)
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
-PLACEHOLDERS = {"SUITE": "refine", "SUITE,": "refine", "NAME": "coffee"}
+PLACEHOLDERS = {"SUITE": "photos", "SUITE,": "photos", "NAME": "coffee"}
 RUN_BY = {
     "docs/how-to/simulate-with-mjx.md": "tests/notebooks/test_mjx_loop.py",
     "docs/how-to/write-a-reward.md": "tests/notebooks/test_howto.py",
