@@ -1,6 +1,8 @@
 """Draw the pictures of README and docs from runs of the bundled examples.
 
-    for name in coffee drawers microwave; do uv run neoworld reconstruct $name --out runs/$name; done
+    for name in coffee drawers microwave; do
+        uv run neoworld reconstruct $name --out runs/$name
+    done
     uv run python examples/draw_gallery.py runs docs/pictures
 
 writes examples.jpg (photograph, refined scene, the same with joints open), coffee.jpg (photograph,
