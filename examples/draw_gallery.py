@@ -1,7 +1,9 @@
-"""Draw the pictures of README and docs/gallery.md from runs of the bundled examples.
+"""Draw the pictures of README and docs from runs of the bundled examples.
 
-    uv run neoworld bench run examples --out runs --json
-    uv run python examples/draw_gallery.py runs/replay docs/pictures
+    for name in coffee drawers microwave; do
+        uv run neoworld reconstruct $name --out runs/$name
+    done
+    uv run python examples/draw_gallery.py runs docs/pictures
 
 writes examples.jpg (photograph, refined scene, the same with joints open), coffee.jpg (photograph,
 outlines of the reconstruction, refined scene) and report.jpg, a part of the report in a browser,

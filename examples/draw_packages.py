@@ -16,8 +16,8 @@ FOLDERS = {
     "neoworld_kernels": ROOT / "kernels",
     "neoworld_bench": ROOT / "benchmarks",
 }
-SMALL = {"cache", "cli", "compilations", "engines", "errors", "format_names", "options"}
-SMALL |= {"progress", "step_names", "quantities"}
+SMALL = {"benchmark", "cache", "cli", "engines", "errors", "names", "options", "places", "progress"}
+SMALL |= {"quantities"}
 WIDTH, HEIGHT, GAP, ROW = 108, 30, 10, 62
 
 

@@ -17,7 +17,6 @@ COMMAND = re.compile(r"^    (?:uv run )?(?:--extra \w+ )?(?:[A-Z]+=\S+ )?(neowor
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 PLACEHOLDERS = {"SUITE": "photos", "SUITE,": "photos", "NAME": "coffee"}
 RUN_BY = {
-    "docs/templates.md": "tests/templates/test_command.py",
     "docs/how-to/simulate-with-mjx.md": "tests/notebooks/test_mjx_loop.py",
     "docs/how-to/write-a-reward.md": "tests/notebooks/test_howto.py",
     "docs/how-to/write-your-own-search.md": "tests/notebooks/test_own_search.py",
@@ -26,7 +25,7 @@ RUN_BY = {
 """Pages whose blocks another test runs."""
 NOT_RUN = {
     "docs/how-to/use-in-simulators.md": "needs a finished run, and a simulator beside it",
-    "docs/tasks.md": "takes long; tests/bench/test_tasks.py executes plans by the same calls",
+    "docs/benchmark.md": "takes long; tests/bench/test_tasks.py executes plans by the same calls",
     "docs/models.md": "needs a model, and names of a program around it",
     "docs/how-to/sweeps.md": "needs pandas and finished sweeps; tests/sweeps runs sweeps",
     "docs/how-to/learn-in-environments.md": "needs a run with a drawer; the notebook "

@@ -105,7 +105,7 @@ class SceneSet(NoisyRuns):
     programs."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
-    scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark-scenes.md)."""
+    scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +191,7 @@ class Engines:
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
     """Score reconstructions of real photographs against true poses, on your copy of a data set
-    in the BOP format. Nothing is downloaded; docs/real-poses.md has the layout.
+    in the BOP format. Nothing is downloaded; docs/benchmark.md has the layout.
     """
 
     data: Positional[Path | None] = None

@@ -24,7 +24,7 @@ from tests.support.mesh_scenes import write_glb, write_poses
 from tests.support.scenes import changed, without
 
 QUICK = RefineOptions(check_duration_s=0.2)
-DOCS = Path("docs/benchmark-scenes.md")
+DOCS = Path("docs/benchmark.md")
 
 
 @pytest.fixture(scope="module")

@@ -39,7 +39,7 @@ def test_every_block_passes_the_object_tests(text: str):
 
 def test_the_page_of_the_docs_builds_too():
     page = Path(__file__).parents[2].joinpath("docs/programs.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    block = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
     built = build(block)
     assert built.ok and built.signals == ()
 

@@ -41,11 +41,11 @@ def test_a_program_has_the_requested_values(answer, tmp_path):
 
 
 def test_the_page_s_commands_run():
-    page = (Path(__file__).parents[2] / "docs" / "templates.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", page, re.S)
+    page = (Path(__file__).parents[2] / "docs" / "programs.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page.partition("## Templates")[2], re.S)
     assert len(blocks) == 2
     for block in blocks:
-        exec(compile(block, "docs/templates.md", "exec"), {})
+        exec(compile(block, "docs/programs.md", "exec"), {})
 
 
 def test_a_seed_samples_the_parameters(answer, tmp_path):

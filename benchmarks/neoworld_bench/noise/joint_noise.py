@@ -1,7 +1,8 @@
 """Errors of joints in programs: missing and extra joints; wrong types, axes, pivots and ranges.
 
-Errors are added one by one, so that the object always passes the checks of programs. Rates and
-magnitudes were measured on twelve objects with 29 joints (docs/objects.md).
+Errors are added one by one, so that the object always passes the checks of programs.
+Rates and magnitudes were measured on twelve objects with 29 joints (docs/results.md, "Objects
+from pictures").
 """
 
 import math

@@ -1,6 +1,6 @@
 """Errors of programs: proportions, walls, shapes, a missing part, positions of parts, joints.
 
-Magnitudes were measured on twelve objects, each programmed from one image (docs/objects.md). An
+Magnitudes were measured on twelve objects, each programmed from one image (docs/results.md). An
 object with errors must pass the checks of programs. If no sample of an error passes, the error is
 logged as refused.
 """
@@ -37,8 +37,9 @@ from .parse_noise import NoiseLog
 SHARES = 0.2
 """Standard deviation of the displacement of the knots at thirds of an object's side, as a fraction
 of the side. It is chosen by the Chamfer distance (times ten) of twelve objects, whose mean is .139
-(docs/objects.md). With this deviation, the Chamfer distance of cupboards, ovens and desks is .129;
-without it, .113. With a larger deviation, the checks of programs refuse many samples."""
+(docs/results.md, "Objects from pictures"). With this deviation, the Chamfer distance of
+cupboards, ovens and desks is .129; without it, .113. With a larger deviation, the checks of
+programs refuse many samples."""
 KNOTS = 4
 """Number of points along a side between which displacements are interpolated; both ends stay."""
 NARROWEST = 0.15

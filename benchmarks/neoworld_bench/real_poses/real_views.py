@@ -198,7 +198,7 @@ def score_real_views(
     if not rows:
         raise SpecError(
             f"{data}: no view with a reconstruction is named {', '.join(names[:8])}; run folders "
-            "are named after the views (docs/real-poses.md)"
+            "are named after the views (docs/benchmark.md)"
         )
     return (
         [row for row in rows if isinstance(row, RealViewRow)],
