@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from ..checks.compile_checks import check
 from ..checks.signals import Allowance, Signal, deduplicated, error_signal, has_errors
 from ..config import ProgramOptions
-from ..errors import open_files_exhausted
+from ..errors import NeoWorldError, open_files_exhausted
 from ..io.limited_worker import WorkerEndedError, WorkerFailedError, run_limited
 from ..spec import ObjectSpec
 from .assemble import assemble
@@ -122,8 +122,8 @@ def _run_in_worker(text: str, options: ProgramOptions, *, without_joints: bool) 
             code = "memory" if end.reason == "memory" else "crashed"
             error = error_signal(code, message, hint="use fewer or simpler shapes")
         return BuildResult(None, (error,))
-    except WorkerFailedError as failure:
-        return BuildResult(None, (error_signal("internal", str(failure), hint=_INTERNAL),))
+    except WorkerFailedError as failure:  # Not the program's fault: `_work` catches those.
+        raise NeoWorldError(f"no program can run on this machine: {failure}") from None
 
 
 def _work(text: str, options: ProgramOptions, without_joints: bool) -> BuildResult:
