@@ -1,8 +1,8 @@
-"""Derivatives of image points with respect to the alignment's unknowns, by finite differences.
+"""Normal equations of the alignment: linearized contours, boxes, contacts and prior.
+
+Derivatives of image points with respect to the alignment's unknowns, by finite differences.
 
 Evidence from an object's contour and 2D box, linearized in the unknowns.
-
-Normal equations of the alignment, from the prior, the linearized evidence, and contacts.
 """
 
 from collections.abc import Collection, Mapping

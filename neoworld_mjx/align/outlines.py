@@ -1,4 +1,6 @@
-"""Distances between a scene's outlines and the photograph's, from the colors on their two sides.
+"""Outlines of a scene in its photograph: their distances, and pictures of them.
+
+Distances between a scene's outlines and the photograph's, from the colors on their two sides.
 
 Picture of the objects' outlines over the photograph, before and after the alignment.
 

@@ -1,6 +1,6 @@
-"""Camera and poses of all bodies of a scene at some values of the unknowns.
+"""Unknowns of the alignment, and the camera and poses of all bodies at some values of them.
 
-Unknowns of the alignment: the camera, the layout of movable objects, and open joints.
+Camera and poses of all bodies of a scene at some values of the unknowns.
 
 The vector `x` consists of
 

@@ -1,6 +1,6 @@
-"""Horizontal displacement of objects in a compiled scene, without compiling it again.
+"""Placement of leaning objects in contact with the objects on which they lean.
 
-Placement of leaning objects in contact with the objects on which they lean.
+Horizontal displacement of objects in a compiled scene, without compiling it again.
 
 Parsed distances are accurate only to a few percent. A leaning board may therefore be some
 centimeters in front of its wall, fall onto it in every rollout and settle at another tilt. It may

@@ -1,4 +1,6 @@
-"""Displacement of objects out of the walls of their parents.
+"""Contact of objects with their supports: heights, and moves out of walls and onto supports.
+
+Displacement of objects out of the walls of their parents.
 
 Parsed positions are off by about a centimeter, and containers are hardly wider than their contents.
 An object may then stand at the right height with a corner in a wall. If it were snapped exactly, it
@@ -9,8 +11,6 @@ Move objects back onto their supports if a fit moved them past the edge.
 A fit moves an object along the line of sight. It may move the object past the edge of a table, so
 that the object would fall to the floor, or forever if there is no floor. Objects that hang over the
 edge of a movable object, such as a throw over a bed, do not change.
-
-Contact of objects with their supports: heights from supports, and moves out of walls.
 """
 
 import mujoco

@@ -1,6 +1,6 @@
-"""Sides of 2D boxes that show an object's outline, uncut by occluders and the picture's border.
+"""Constants of the fit, with one row per object, and the visible sides of the 2D boxes.
 
-Constants of the fit, with one row per object: 2D boxes, outlines, priors, indices of parents.
+Sides of 2D boxes that show an object's outline, uncut by occluders and the picture's border.
 """
 
 import math

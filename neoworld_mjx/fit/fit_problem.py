@@ -1,6 +1,6 @@
-"""Residuals of projected outlines: distances [px] from the 2D boxes and contacts.
+"""Least-squares problem of the fit: residuals of the picture and the priors, and the Jacobian.
 
-Least-squares problem of the fit: residuals of the picture and the priors, and the Jacobian.
+Residuals of projected outlines: distances [px] from the 2D boxes and contacts.
 """
 
 import itertools

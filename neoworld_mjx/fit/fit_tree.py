@@ -1,6 +1,6 @@
-"""Report of a fit: changes of the camera, of each object's box, and of supports.
+"""Fit of camera and 3D boxes to the 2D boxes by robust least squares, and its report.
 
-Fit of camera and 3D boxes to the 2D boxes by robust least squares.
+Report of a fit: changes of the camera, of each object's box, and of supports.
 
 A model localizes objects well in the picture and knows their common sizes, but estimates distances
 less accurately. The fit therefore moves the camera (pitch, height) and the boxes (position, size,

@@ -1,4 +1,6 @@
-"""Straight line segments of a picture whose direction is close to an expected direction.
+"""Vertical edges in a photograph, and the pitch and roll of the camera that they determine.
+
+Straight line segments of a picture whose direction is close to an expected direction.
 
 Pixels at which the gradient has a maximum across an edge are linked to chains. Chains are split
 where they bend, and the pieces are fitted by lines. Pieces of one line are joined across gaps.

@@ -1,8 +1,8 @@
-"""Object categories: size range and outline of objects, by the head noun of a label.
+"""Prior standard deviations of the fit, and the size ranges of object categories.
+
+Object categories: size range and outline of objects, by the head noun of a label.
 
 The ranges are deliberately wide: they reject a cup of 1 m, but accept a cup of 18 cm.
-
-Prior standard deviations of the fit, with a reason for each.
 
 Each pair of percentages or angles in the docstrings is the median and the 90th percentile of
 changes by a weakly regularized fit of boxes. The fit was applied to the responses for four

@@ -1,4 +1,6 @@
-"""Vertical columns through an object's collision geometry, for overlaps and support heights.
+"""Second fit, with built shapes in place of category outlines, and selection of other supports.
+
+Vertical columns through an object's collision geometry, for overlaps and support heights.
 
 Fit of a single object to its 2D box on a candidate support, with the rest of the scene fixed.
 
@@ -10,8 +12,6 @@ basket, or the support is wrong. Both hypotheses are fitted to the 2D box with b
 hypothesis places the object on the parsed support, at the nearest position without overlap. The
 other places it in or on the other object. The support changes only if the likelihood ratio exceeds
 the prior odds of the parsed support.
-
-Second fit of camera and boxes, with built shapes in place of the outlines of categories.
 
 After Step 2, the program determines the proportions and the silhouette of an object. The 2D box
 then determines the object's scale, position and heading more accurately.
