@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
@@ -48,10 +49,18 @@ class _Request(Options):
 class Plan(_Request):
     """Plan of a sweep: every combination of the axes' values, with every seed, on every scene."""
 
-    axes: dict[str, tuple[Any, ...]] = {}
-    """List of values by the path of an option, such as `refine.reward.w_drift`."""
+    axes: dict[str, Any] = {}
+    """Values by the path of an option, such as `refine.reward.w_drift`.
+
+    The values are a list, or an `AxisRange` such as `{low: 0.01, high: 0.1, log: true, n: 4}`. If
+    a range has no `n`, its values are sampled.
+    """
     zip: tuple[tuple[str, ...], ...] = ()
     """Groups of axes whose values advance together instead of being combined."""
+    samples: int = Field(default=0, ge=0, le=MAX_POINTS)
+    """Number of samples from the ranges without `n`. Each is combined with all other values."""
+    draw_seed: int = Field(default=0, ge=0)
+    """Seed of these samples."""
 
 
 class Ablation(_Request):
@@ -59,6 +68,25 @@ class Ablation(_Request):
 
     variants: dict[str, dict[str, Any]] = {}
     """Values of each variant, by the path of an option."""
+
+
+class AxisRange(Options):
+    """Range of an axis: `n` evenly spaced values, or values that are sampled at random."""
+
+    low: float
+    high: float
+    log: bool = False
+    """If True, values are spaced or sampled evenly on a logarithmic scale."""
+    n: int | None = Field(default=None, ge=2, le=MAX_POINTS)
+    """Number of values, including both ends. If None, values are sampled; see `Plan.samples`."""
+
+    def at(self, share: float) -> float:
+        """Return the value at a fraction of the range: `low` at 0, `high` at 1."""
+        if share in (0.0, 1.0):
+            return self.high if share else self.low
+        if self.log:
+            return math.exp(math.log(self.low) + share * math.log(self.high / self.low))
+        return self.low + share * (self.high - self.low)
 
 
 class Point(NamedTuple):
@@ -137,6 +165,8 @@ def _sweep_points(plan: Plan, base: dict[str, Any]) -> list[Point]:
             f"{path.removeprefix(ROOT + '.')} {_format_value(value)}"
             for path, value in values.items()
         )
+        if label in result and plan.samples:
+            continue  # The same integers were sampled before.
         if label in result:
             raise ConfigError(f"axes: the point {label} appears twice")
         result[label] = Point(label or BASE, values, options)
@@ -145,29 +175,77 @@ def _sweep_points(plan: Plan, base: dict[str, Any]) -> list[Point]:
 
 def _combinations(plan: Plan) -> list[dict[str, Any]]:
     """Return the values of every point, by the paths of the options in the order of the axes."""
-    for path, values in plan.axes.items():
-        _annotation(path, "axes")
-        if not values:
+    lists: dict[str, list[Any]] = {}
+    ranges: dict[str, AxisRange] = {}
+    for path, value in plan.axes.items():
+        integers = _annotation(path, "axes") is int
+        if isinstance(value, list | tuple):
+            lists[path] = list(value)
+        elif (limits := _range(path, value)).n is None:
+            ranges[path] = limits
+        else:
+            spaced = [limits.at(k / (limits.n - 1)) for k in range(limits.n)]
+            lists[path] = list(dict.fromkeys(map(round, spaced))) if integers else spaced
+        if not lists.get(path, True):
             raise ConfigError(f"axes: {path} has no values")
-    groups = _groups(plan.axes, plan.zip)
-    count = math.prod(len(plan.axes[group[0]]) for group in groups)
+    if ranges and not plan.samples:
+        raise ConfigError(
+            f"axes: {', '.join(ranges)} is drawn at random: set the plan's samples, or set n "
+            "for evenly spaced values"
+        )
+    if plan.samples and not ranges:
+        raise ConfigError("samples: no axis is a range without n, from which values are drawn")
+    groups = _groups(lists, plan.zip)
+    count = math.prod(len(lists[group[0]]) for group in groups) * max(plan.samples, 1)
     if count > MAX_POINTS:
         raise ConfigError(
             f"axes: {count} points, at most {MAX_POINTS} are allowed; use fewer values, several "
-            "plans, or zip the axes"
+            "plans, or draw the values of some axes at random"
         )
     steps = [
-        [{path: plan.axes[path][k] for path in group} for k in range(len(plan.axes[group[0]]))]
+        [{path: lists[path][k] for path in group} for k in range(len(lists[group[0]]))]
         for group in groups
     ]
+    if ranges:
+        steps.append(_sample(ranges, plan.samples, plan.draw_seed))
     combined = [
         {path: value for part in parts for path, value in part.items()}
         for parts in itertools.product(*steps)
     ]
-    return [{path: point[path] for path in plan.axes} for point in combined]
+    return [{path: point[path] for path in (*lists, *ranges)} for point in combined]
 
 
-def _groups(axes: Mapping[str, Sequence[Any]], zipped: Sequence[Sequence[str]]) -> list[list[str]]:
+def _range(path: str, value: Any) -> AxisRange:
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"axes: {path}: give a list of values, or a range such as "
+            f"{{low: 0.01, high: 0.1, log: true, n: 4}}, got {value!r}"
+        )
+    try:
+        limits = AxisRange.model_validate(dict(value))
+    except ValidationError as error:
+        raise ConfigError(f"axes: {path}: {validation_message(error, AxisRange)}") from None
+    low, high = limits.low, limits.high
+    if not low < high:
+        raise ConfigError(f"axes: {path}: low must be below high, got {low:g} and {high:g}")
+    if limits.log and low <= 0:
+        raise ConfigError(f"axes: {path}: low of a logarithmic range must be above 0, got {low:g}")
+    return limits
+
+
+def _sample(ranges: Mapping[str, AxisRange], samples: int, seed: int) -> list[dict[str, Any]]:
+    """Sample values uniformly from ranges; with more samples, the earlier ones stay the same."""
+    integers = {path for path in ranges if _annotation(path, "axes") is int}
+    return [
+        {
+            path: round(limits.at(float(x))) if path in integers else limits.at(float(x))
+            for (path, limits), x in zip(ranges.items(), row, strict=True)
+        }
+        for row in np.random.default_rng(seed).random((samples, len(ranges)))
+    ]
+
+
+def _groups(lists: Mapping[str, list[Any]], zipped: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return the groups of axes that advance together, in the order of the axes.
 
     An axis that is not zipped with others is a group of its own.
@@ -175,19 +253,19 @@ def _groups(axes: Mapping[str, Sequence[Any]], zipped: Sequence[Sequence[str]]) 
     group_of: dict[str, list[str]] = {}
     for group in zipped:
         for path in group:
-            if path not in axes:
-                raise ConfigError(f"zip: {choices(path, axes)}")
+            if path not in lists:
+                raise ConfigError(f"zip: {choices(path, lists)}")
             if path in group_of:
                 raise ConfigError(f"zip: {path} appears twice")
             group_of[path] = list(group)
-        lengths = {path: len(axes[path]) for path in group}
+        lengths = {path: len(lists[path]) for path in group}
         if len(set(lengths.values())) > 1:
             lengths_text = ", ".join(f"{path} has {n}" for path, n in lengths.items())
             raise ConfigError(
                 f"zip: axes that advance together must have equal numbers of values: {lengths_text}"
             )
     groups: list[list[str]] = []
-    for path in axes:
+    for path in lists:
         group = group_of.get(path, [path])
         if group not in groups:
             groups.append(group)

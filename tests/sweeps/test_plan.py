@@ -109,6 +109,20 @@ def test_a_run_folder_gives_its_composed_scene(tmp_path):
 XY, PEN, N = "refine.cem.sigma_xy", "refine.reward.w_pen", "refine.cem.population"
 
 
+def test_a_range_has_evenly_spaced_values_or_logarithms():
+    axes = {
+        XY: {"low": 0.01, "high": 0.16, "log": True, "n": 5},
+        PEN: {"low": 1, "high": 2, "n": 3},
+    }
+    found = points(Plan(axes=axes))
+    assert [point.values[XY] for point in found[::3]] == pytest.approx(
+        [0.01, 0.02, 0.04, 0.08, 0.16]
+    )
+    assert [point.values[PEN] for point in found[:3]] == [1.0, 1.5, 2.0]
+    whole = points(Plan(axes={N: {"low": 8, "high": 64, "log": True, "n": 3}}))
+    assert [point.options.cem.population for point in whole] == [8, 23, 64]
+
+
 def test_axes_advance_together():
     axes = {XY: [0.03, 0.05], N: [8, 16, 32], PEN: [1, 2]}
     found = points(Plan(axes=axes, zip=((XY, PEN),)))
@@ -117,15 +131,38 @@ def test_axes_advance_together():
     ]
 
 
+def test_values_are_drawn_and_more_samples_keep_the_first_ones():
+    axes = {XY: {"low": 0.01, "high": 0.1, "log": True}, N: {"low": 8, "high": 64}, PEN: [1, 2]}
+    found = points(Plan(axes=axes, samples=40))
+    assert len(found) == 80
+    drawn = [(p.values[XY], p.values[N]) for p in found]
+    assert drawn[:40] == drawn[40:] and len(set(drawn)) == 40
+    assert all(0.01 <= xy <= 0.1 and 8 <= n <= 64 for xy, n in drawn)
+    assert 12 <= sum(xy < 0.01**0.5 * 0.1**0.5 for xy, _ in drawn[:40]) <= 28
+    fewer = points(Plan(axes=axes, samples=10))
+    assert [p.values[XY] for p in fewer[:10]] == [xy for xy, _ in drawn[:10]]
+    other = points(Plan(axes=axes, samples=10, draw_seed=1))
+    assert other[0].values[XY] != fewer[0].values[XY]
+
+
 @pytest.mark.parametrize(
     ("plan", "said"),
     [
-        ({"axes": {XY: 0.05}}, "axes.refine.cem.sigma_xy: Input should be a valid tuple"),
+        ({"axes": {XY: 0.05}}, "axes: refine.cem.sigma_xy: give a list of values, or a range"),
+        ({"axes": {XY: {"low": 0.1, "high": 0.01, "n": 3}}}, "low must be below high, got 0.1"),
+        ({"axes": {XY: {"low": 0, "high": 1, "log": True, "n": 3}}}, "must be above 0, got 0"),
+        ({"axes": {XY: {"low": 0, "high": 1, "nn": 3}}}, "unknown key nn"),
+        ({"axes": {XY: {"low": -1, "high": 1, "n": 3}}}, "greater than or equal to 0, got -1"),
+        ({"axes": {XY: {"low": -2, "high": -1}}, "samples": 3}, "greater than or equal to 0"),
         ({"axes": {XY: [1]}, "fold": True}, "unknown key fold"),
+        ({"axes": {XY: {"low": 0, "high": 1}}}, "is drawn at random: set the plan's samples"),
+        ({"axes": {XY: [1]}, "samples": 3}, "samples: no axis is a range without n"),
         ({"axes": {XY: [1]}, "zip": [[XY, PEN]]}, "zip: "),
         ({"axes": {XY: [1], PEN: [1, 2]}, "zip": [[XY, PEN]]}, "w_pen has 2"),
         ({"axes": {XY: [1], PEN: [1]}, "zip": [[XY, PEN], [PEN]]}, "w_pen appears twice"),
-        ({"axes": {XY: [0.1] * 200, PEN: [1] * 200}}, "40000 points, at most 10000"),
+        ({"axes": {XY: {"low": 0, "high": 1, "n": 200}, PEN: {"low": 0, "high": 1, "n": 200}}},
+         "40000 points, at most 10000"),
+        ({"axes": {XY: {"low": 0, "high": 1, "n": 10**9}}}, "less than or equal to 10000"),
         ({"axes": {XY: [1]}, "seeds": 10**9}, "must be a number of seeds from 1 to 10000"),
         ({"axes": {XY: [1]}, "seeds": "many"}, "must be a number of seeds or a list of seeds"),
     ],
