@@ -18,7 +18,7 @@
 #
 # How much does a setting of the search matter? `nw.sweep` refines a scene with every combination of
 # some options' values and several seeds; `neoworld sweep FILE.yaml --out DIR` does the same and
-# writes tables and Parquet files. Here the rows are plotted with Matplotlib.
+# writes a figure, tables and Parquet files. Here the rows are plotted with Matplotlib.
 
 # %%
 import matplotlib.pyplot as plt

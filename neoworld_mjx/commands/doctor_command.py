@@ -75,6 +75,11 @@ COMPONENTS = (
         "uv sync --inexact --extra baselines",
     ),
     Component(
+        *("extra plot", _installed("matplotlib")),
+        "sweeps draw no figure",
+        "uv sync --inexact --extra plot",
+    ),
+    Component(
         *("Blender (bpy)", _blender),
         "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
         "the two uv commands in docs/how-to/blender-programs.md",

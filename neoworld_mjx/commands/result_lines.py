@@ -102,6 +102,8 @@ def sweep_lines(result: CommandResult) -> list[str]:
     if best is not None and best.get("reward") is not None:
         rows.append(f"best reward: {best['reward']:.4g} at {best['point']}")
     rows.append(f"table: {result['table']}")
+    if result.get("figure"):
+        rows.append(f"figure: {result['figure']}")
     rows.append(f"{result['seconds']:.1f} s; {DETAILS}")
     return rows
 

@@ -22,7 +22,7 @@ class PlanCommand(Command, Place):
     plan: Positional[Path]
     """YAML file of scenes, base options, seeds, and axes or variants."""
     out: Path
-    """Folder for results.parquet, table.md and sweep.json; new or empty."""
+    """Folder for results.parquet, table.md, figure.svg and sweep.json; new or empty."""
     resume: bool = False
     """Continue the sweep in --out."""
     overwrite: bool = False
@@ -61,7 +61,7 @@ def shard_of(text: str) -> tuple[int, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class MergeCommand(Command):
-    """Join the folders of the shards of a sweep or ablation, and write its table."""
+    """Join the folders of the shards of a sweep or ablation, and write its table and figure."""
 
     folders: Positional[tuple[Path, ...]]
     """Folders of the shards."""
@@ -123,6 +123,7 @@ def _summary(result: "SweepResult", out: Path) -> CommandResult:
     return {
         "folder": str(out),
         "table": str(out / TABLE),
+        "figure": result.about.get("figure"),
         "runs": len(result.rows),
         "seconds": result.about["seconds"],
         "points": flat(result.points),

@@ -14,7 +14,7 @@ from .runs import CANDIDATE, COLUMNS, ITERATION_COLUMNS, KEYS, TERM, Key, Row
 
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
 """Names of the files of the rows, of their iterations, and of the description of the sweep."""
-TABLE, CSV = "table.md", "table.csv"
+TABLE, CSV, FIGURE = "table.md", "table.csv", "figure.svg"
 """Names of the files that are written when all runs are complete."""
 FORMAT = "neoworld-sweep/1"
 
@@ -79,7 +79,7 @@ class SweepFolder:
 
     def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
         if overwrite:
-            for name in (RESULTS, HISTORIES, TABLE, CSV):
+            for name in (RESULTS, HISTORIES, TABLE, CSV, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
         elif not resume:
             raise RunError(

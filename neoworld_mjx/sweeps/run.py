@@ -17,7 +17,8 @@ from ..places import HERE, Place, check_place, run_tasks
 from ..progress import report
 from ..run_folder import versions
 from ..spec import SceneSpec
-from .folder import CSV, FORMAT, TABLE, SweepFolder, read_rows, row_key, sweep_of
+from .figure import draw
+from .folder import CSV, FIGURE, FORMAT, TABLE, SweepFolder, read_rows, row_key, sweep_of
 from .plan import Ablation, Plan, Point, points, read_plan
 from .result import SweepResult, comma_separated, commit, result_of
 from .runs import Case, Key, Row, Run, case, compute
@@ -81,7 +82,7 @@ def ablate(
 def merge(
     folders: Sequence[Path | str], out: Path | str, *, overwrite: bool = False
 ) -> SweepResult:
-    """Join the rows of shards, and write the tables of the whole sweep or ablation.
+    """Join the rows of shards, and write the tables and the figure of the whole sweep or ablation.
 
     Unfinished shards can be merged, too. The number of runs that no shard contains is written into
     sweep.json as "missing". To compute these runs, sweep or ablate into the merged folder with
@@ -236,13 +237,18 @@ def _in_order(runs: Mapping[Key, Run], completed: Mapping[Key, Row]) -> list[Row
 def _finish(
     rows: Sequence[Row], about: Mapping[str, Any], expected: int, folder: SweepFolder | None
 ) -> SweepResult:
-    """Summarize the rows, of which a complete sweep has `expected`, and write the tables."""
+    """Summarize the rows, of which a complete sweep has `expected`, and write tables and figure."""
     missing = expected - len(rows)
     about = {**about, "missing": missing, "finished": not missing}
+    figure = None if folder is None else draw(rows, _value_columns(about))
+    if folder is not None:
+        about["figure"] = None if figure is None else str(folder.path / FIGURE)
     result = result_of(rows, about)
     if folder is not None:
         folder.write(TABLE, result.table)
         folder.write(CSV, comma_separated(result.points))
+        if figure is not None:
+            folder.write(FIGURE, figure)
         folder.write_about(about)
     return result
 

@@ -1,11 +1,14 @@
-"""Files of a sweep: rows and iterations, and tables."""
+"""Files of a sweep: rows and iterations, tables, and a figure."""
 
 import csv
 import io
+import sys
+from xml.etree import ElementTree as ET
 
 import pytest
 
 from neoworld_mjx.errors import RunError
+from neoworld_mjx.sweeps.figure import MAX_LINES, draw
 from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 from neoworld_mjx.sweeps.result import comma_separated, result_of
 
@@ -73,3 +76,25 @@ def test_differences_are_paired_and_signed():
     assert "## Differences from the base" in found.table and "+0.400 [" in found.table
     # Agreement of a few pairs is no certainty.
     assert more["passed"]["low"] < more["passed"]["mean"] == 0 < more["passed"]["high"]
+
+
+def test_a_figure_shows_points_and_axes():
+    drawn = draw(ROWS, [SIGMA, DRIFT])
+    assert drawn is not None and drawn == draw(ROWS, [SIGMA, DRIFT])
+    text = "\n".join(part.text or "" for part in ET.fromstring(drawn).iter())
+    for label in ("s 0.06, d 1.0", "passed, %", "sigma_xy", "w_drift 0.5", "S_sem"):
+        assert label in text, label
+    one = "".join(ET.fromstring(draw(ROWS[:4], [SIGMA, DRIFT])).itertext())
+    assert "w_drift" in one and "sigma_xy" not in one
+    assert "passed, %" not in draw(ROWS[:1], [SIGMA, DRIFT])
+    many = [run(f"point {k}", 0, 0.1, float(k), reward=k / 20) for k in range(MAX_LINES + 3)]
+    text = draw(many, [DRIFT])
+    assert f"best {MAX_LINES} of {len(many)}" in text
+    assert "point 10<" in text and "point 2<" not in text
+
+
+def test_without_matplotlib_the_log_says_why_there_is_no_figure(monkeypatch, caplog):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with caplog.at_level("INFO", logger="neoworld_mjx"):
+        assert draw(ROWS, [SIGMA]) is None
+    assert "--extra plot" in caplog.text

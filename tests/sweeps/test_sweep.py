@@ -108,6 +108,7 @@ def test_a_case_may_have_a_start_and_errors():
 
 def test_the_table_sums_points_up(swept):
     out, result = swept
+    assert (out / "figure.svg").stat().st_size > 0
     assert (out / "table.md").read_text().count("\n| reward.w_drift ") == 4
     point = result.points[0]
     own = [row for row in result.rows if row["point"] == point["point"]]
