@@ -190,12 +190,13 @@ class Engines:
 
 @dataclass(frozen=True, kw_only=True)
 class RealPoses:
-    """Score reconstructions of real photographs against true poses, on your copy of a data set
-    in the BOP format. Nothing is downloaded; docs/benchmark.md has the layout.
+    """Score reconstructions of real photographs against a sensor's depth and true poses, in the
+    layout of your copy of a data set. Nothing is downloaded; docs/benchmark.md has the layouts.
     """
 
     data: Positional[Path | None] = None
-    """Folder of the data (YCB-V, T-LESS, HOPE, HomebrewedDB)."""
+    """Folder of the data: depth images NAME-depth.png, or a data set in the BOP format (YCB-V,
+    T-LESS, HOPE, HomebrewedDB)."""
     runs: Path | None = None
     """Folder of run folders named after the views. A row is written for each of their scenes:
     composed, aligned and refined."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from neoworld_bench.measures.pose_measure import Intrinsics
-from neoworld_bench.real_poses.object_matching import in_camera, intrinsics_of
 from neoworld_bench.real_poses.real_views import MadeView, posed_meshes, real_rows, score_real_views
-from neoworld_bench.real_poses.true_views import bop_views
+from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
+from neoworld_bench.real_poses.true_views import bop_views, depth_views
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
@@ -18,9 +18,11 @@ from neoworld_mjx.spec import Camera
 from neoworld_mjx.spec.scale import scale
 from tests.support.bop_sample import (
     SIZE,
+    TENTH_MM,
     camera_pose,
     desk,
     write_bop,
+    write_depth_folder,
 )
 from tests.support.scenes import changed, without
 
@@ -54,29 +56,41 @@ def test_bop_sample_of_two_images_goes_round_trip(sample):
             assert np.allclose(item.pose, camera_pose(scene, made), atol=1e-9)
             gap = item.posed[:, None] - own[made].vertices[None]
             assert np.linalg.norm(gap, axis=-1).min(axis=1).max() < 1e-7
-        assert view.size == SIZE
+        drawn = scene_points(scene, scene.camera, view.camera, SIZE).points[..., 2]
+        hit = np.isfinite(drawn)
+        assert np.abs(view.depth - drawn)[hit].max() < TENTH_MM / 1e3
+        assert (view.depth[~hit] == 0).all()
     assert views["000007_000004"].camera == OFF_CENTER
     diameter = views["000007_000003"].objects[0].diameter
     assert diameter == pytest.approx(math.hypot(0.06, 0.05, 0.1), rel=1e-6)
 
 
-def test_perfect_input_gives_perfect_figures(sample):
+def test_perfect_input_gives_perfect_figures_with_and_without_depth(sample, tmp_path):
     head, rows = scored(sample, desk())
-    assert (head.true_objects, head.matched, head.extra) == (3, 3, 0)
-    assert head.scale == pytest.approx(1, abs=1e-3) and set(rows) == set(NAMES.values())
-    for made, name in NAMES.items():
-        row = rows[name]
-        assert row.object == made and row.position_mm < 0.2
-        assert row.add_s < 1e-3 and row.box_iou > 0.995 and row.icp_rot_deg < 0.05
+    assert (head.true_objects, head.matched, head.extra, head.inliers) == (3, 3, 0, 1)
+    for name in (*NAMES.values(), "table"):
+        assert rows[name].error_mm < 0.2
+    folder = write_bop(tmp_path / "desk", [desk()])
+    (folder / "test" / "000007" / "depth" / "000003.png").unlink()
+    without_depth, other_rows = scored(folder, desk())
+    for view_row, object_rows in ((head, rows), (without_depth, other_rows)):
+        assert view_row.scale == pytest.approx(1, abs=1e-3) and view_row.rotation_deg < 0.02
+        for made, name in NAMES.items():
+            row = object_rows[name]
+            assert row.object == made and row.position_mm < 0.2
+            assert row.add_s < 1e-3 and row.box_iou > 0.995 and row.icp_rot_deg < 0.05
+        assert object_rows["table"].add_s is None
+    assert without_depth.inliers is None and other_rows["table"].error_mm is None
 
 
 def test_errors_of_a_pushed_a_turned_and_a_grown_object_are_their_own(sample):
     scene = desk()
     x, y = scene.object("carton").xy
-    _, rows = scored(sample, changed(scene, "carton", xy=(x + 0.04, y)))
+    head, rows = scored(sample, changed(scene, "carton", xy=(x + 0.04, y)))
     assert rows["obj_000002"].position_mm == pytest.approx(40, abs=2)
-    assert rows["obj_000002"].icp_rot_deg < 0.5
-    assert rows["obj_000001"].add_s < 0.02
+    assert rows["obj_000002"].icp_rot_deg < 0.5 and rows["obj_000002"].bias_mm > 5
+    assert rows["obj_000001"].add_s < 0.02 and rows["obj_000003"].error_mm < 1
+    assert head.inliers < 1
     _, rows = scored(sample, changed(scene, "carton", yaw=0.8 + math.radians(12)))
     assert rows["obj_000002"].icp_rot_deg == pytest.approx(12, abs=0.5)
     assert rows["obj_000002"].position_mm < 3 and rows["obj_000001"].icp_rot_deg < 0.1
@@ -161,6 +175,15 @@ def test_repeated_and_hidden_objects(tmp_path):
     assert np.ptp(view.objects[0].vertices, axis=0) == pytest.approx([0.06, 0.05, 0.1])
 
 
+def test_depth_folder_and_its_camera(tmp_path):
+    camera = write_depth_folder(tmp_path / "depth", desk())
+    (view,) = depth_views(tmp_path / "depth", ["desk", "other"])
+    assert view.camera == camera and view.size == SIZE and view.objects == ()
+    (tmp_path / "depth" / "camera.json").unlink()
+    with pytest.raises(SpecError, match=r"camera\.json"):
+        list(depth_views(tmp_path / "depth", ["desk"]))
+
+
 def write_run(folder: Path, scene, composed) -> Path:
     (folder / "compose").mkdir(parents=True)
     (folder / "compose" / "scene.json").write_text(composed.to_json())
@@ -170,36 +193,38 @@ def write_run(folder: Path, scene, composed) -> Path:
 
 def test_command_scores_every_stage(tmp_path, capfd):
     scene = desk()
-    data = write_bop(tmp_path / "data", [scene])
+    write_depth_folder(tmp_path / "data", scene)
     x, y = scene.object("block").xy
     pushed = changed(scene, "block", xy=(x + 0.03, y))
-    run = write_run(tmp_path / "runs" / "000007_000003", scene, pushed)
-    command = ["bench", "run", "real-poses", str(data), "--json"]
+    run = write_run(tmp_path / "runs" / "desk", scene, pushed)
+    command = ["bench", "run", "real-poses", str(tmp_path / "data"), "--json"]
     command += ["--runs", str(tmp_path / "runs"), "--set", "refine.check_duration_s=0.1"]
     with pytest.raises(SystemExit, match="0"):
         cli.main(command)
     result = json.loads(capfd.readouterr().out)
     assert [row["stage"] for row in result["views"]] == ["composed", "refined"]
-    errors = {(row["stage"], row["true_object"]): row["position_mm"] for row in result["rows"]}
-    assert errors["composed", "obj_000001"] > 20 and errors["refined", "obj_000001"] < 0.3
-    assert result["figures"]["refined"]["add_s"]["n"] == 3
+    errors = {(row["stage"], row["object"]): row["error_mm"] for row in result["rows"]}
+    assert errors["composed", "block"] > 5 and errors["refined", "block"] < 0.3
+    assert result["figures"]["refined"]["median_error_mm"]["n"] == 4
+    assert "add_s" not in result["figures"]["refined"]
     # Aligned is what compose/align.json says.
     (run / "compose" / "align.json").write_text("{}")
-    views, rows = score_real_views(data, run.parent, QUICK)
-    assert [row.stage for row in views] == ["aligned", "refined"] and len(rows) == 6
+    views, rows = score_real_views(tmp_path / "data", run.parent, QUICK)
+    assert [row.stage for row in views] == ["aligned", "refined"] and len(rows) == 8
 
 
 def test_what_cannot_be_scored_is_refused(tmp_path):
     data, runs = tmp_path / "data", tmp_path / "runs"
+    data.mkdir()
     with pytest.raises(SpecError, match="is no folder"):
         score_real_views(data, runs)
     (runs / "office").mkdir(parents=True)
-    with pytest.raises(SpecError, match=r"has no scene_gt\.json"):
+    with pytest.raises(SpecError, match=r"neither scene_gt\.json"):
         score_real_views(data, runs)
-    write_bop(data, [desk()])
+    write_depth_folder(data, desk())
     with pytest.raises(SpecError, match="no view with a reconstruction is named office"):
         score_real_views(data, runs)
     wide = desk(Camera(width=320, height_px=120, fovy=0.7, height=0.5, pitch=0.6))
-    write_run(runs / "000007_000003", wide, wide)
+    write_run(runs / "desk", wide, wide)
     with pytest.raises(SpecError, match="expected is the same aspect"):
         score_real_views(data, runs)

@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from neoworld_bench.real_poses.object_matching import intrinsics_of
+from neoworld_bench.measures.pose_measure import Intrinsics
+from neoworld_bench.real_poses.scene_depth import intrinsics_of, scene_points
 from PIL import Image
 
 from neoworld_mjx.render import visible_surface
@@ -13,6 +14,8 @@ from neoworld_mjx.spec.pose import matrix
 from tests.support.scenes import CERAMIC, single
 
 SIZE = (160, 120)
+TENTH_MM = 0.1
+"""Depth scale of the samples, in millimeters."""
 
 
 def desk(camera: Camera | None = None) -> SceneSpec:
@@ -47,7 +50,7 @@ def write_bop(folder: Path, scenes, *, cameras=None, models="models", unit_mm=1.
         split: folder of the scene.
     """
     place = folder / split / "000007"
-    (place / "rgb").mkdir(parents=True)
+    (place / "depth").mkdir(parents=True)
     (folder / models).mkdir()
     movable = [item for item in scenes[0].objects if not item.environment]
     info = {}
@@ -64,8 +67,9 @@ def write_bop(folder: Path, scenes, *, cameras=None, models="models", unit_mm=1.
     for image, scene in enumerate(scenes, start=3):
         camera = (cameras or {}).get(image) or intrinsics_of(scene.camera, *SIZE)
         k = [camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1]
-        entries[image] = {"cam_K": k}
-        Image.new("RGB", SIZE).save(place / "rgb" / f"{image:06d}.png")
+        entries[image] = {"cam_K": k, "depth_scale": TENTH_MM}
+        drawn = scene_points(scene, scene.camera, camera, SIZE)
+        write_depth(place / "depth" / f"{image:06d}.png", drawn.points[..., 2])
         poses[image] = [
             _pose_entry(number, scene, item.name) for number, item in enumerate(movable, start=1)
         ]
@@ -95,6 +99,13 @@ def camera_pose(scene: SceneSpec, name: str) -> np.ndarray:
     return result
 
 
+def write_depth(file: Path, depth: np.ndarray) -> None:
+    """Write a depth image [m] in tenths of millimeters; 0 where nothing is hit."""
+    known = np.where(np.isfinite(depth), depth, 0.0)
+    values = np.round(known * 1e3 / TENTH_MM).astype(np.uint16)
+    Image.fromarray(values).save(file)
+
+
 def write_ply(file: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     """Write an ASCII PLY file, as BOP's models."""
     head = [
@@ -109,6 +120,17 @@ def write_ply(file: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     rows = [" ".join(f"{value:.9g}" for value in row) for row in vertices]
     triangles = [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
     file.write_text("\n".join([*head, *rows, *triangles]) + "\n")
+
+
+def write_depth_folder(folder: Path, scene: SceneSpec, name: str = "desk") -> Intrinsics:
+    """Write the depth image of a scene and the camera's intrinsics; return these."""
+    camera = intrinsics_of(camera_of(scene), *SIZE)
+    drawn = scene_points(scene, camera_of(scene), camera, SIZE)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_depth(folder / f"{name}-depth.png", drawn.points[..., 2])
+    stated = {**camera._asdict(), "depth_scale": TENTH_MM}
+    (folder / "camera.json").write_text(json.dumps(stated))
+    return camera
 
 
 def _pose_entry(number: int, scene: SceneSpec, name: str) -> dict:

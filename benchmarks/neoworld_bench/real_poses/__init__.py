@@ -1,1 +1,1 @@
-"""Real photographs with true poses of objects: a reader of data sets, and scores."""
+"""Real photographs with a sensor's depth or true poses: readers of data sets, and their scores."""

@@ -1,10 +1,12 @@
-"""Scores of run folders against the views of a data set with true poses.
+"""Rows of reconstructions of real views: depth against a sensor, and poses against truth.
+
+Scores of run folders against the views of a data set.
 
 RUNS/NAME/compose/scene.json     composed; aligned if compose/align.json is there
 RUNS/NAME/scene.json             refined
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,11 +21,21 @@ from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Camera, SceneSpec, read_scene, world_poses
 
 from ..measures.joint_measure import mean_of_known
-from ..measures.pose_measure import RECALL, axis_box_iou, layout_measure, recall
+from ..measures.pose_measure import (
+    RECALL,
+    DepthMeasure,
+    Intrinsics,
+    Similarity,
+    axis_box_iou,
+    depth_measure,
+    layout_measure,
+    recall,
+)
+from ..measures.pose_measure import measured_points as sensor_points
 from ..measures.surface_measure import sampled
 from ..rows import Row, RowStore
-from .object_matching import PosedMesh, in_camera, intrinsics_of, matched, scale_of
-from .true_views import PosedObject, TrueView, bop_views
+from .scene_depth import PosedMesh, in_camera, intrinsics_of, matched, scale_of, scene_points
+from .true_views import PosedObject, TrueView, bop_views, depth_views, is_bop, is_depth_folder
 
 POINTS = 10_000
 ASPECT = 0.01
@@ -46,7 +58,17 @@ class RealObjectRow(Row):
     object: str
     """Name in the reconstruction; empty where it has no object for the true one."""
     true_object: str
-    """Name in the ground truth; empty for objects that it does not have."""
+    """Name in the ground truth; empty for supports and objects that it does not have."""
+    visible_px: int
+    """Pixels that show the object in the rendered image."""
+    measured_px: int
+    """Those of them with a depth of the sensor."""
+    error_mm: float | None
+    """Median distance of the rendered from the measured points after the alignment."""
+    depth_error_mm: float | None
+    """Median absolute difference of the depths."""
+    bias_mm: float | None
+    """Median difference of the depths; positive if the object is too far."""
     position_mm: float | None
     """Distance of the centers of the axis-aligned boxes; this and the following are None for
     objects without a partner."""
@@ -62,11 +84,14 @@ class RealViewRow(Row):
     view: str
     stage: str
     scale: float
-    """Scale about the camera that aligns the scene with the truth."""
+    """Scale factor of the alignment of the scene with the truth."""
+    rotation_deg: float
+    inliers: float | None
+    """Share of the compared pixels within 1.5 % of the median depth; None without depth."""
     true_objects: int
     matched: int
     extra: int
-    """Movable objects of the reconstruction without a partner."""
+    """Movable objects of the reconstruction without a partner, where objects are known."""
     check_passed: bool
     """True if the scene passes the final check of `neoworld check`."""
 
@@ -76,8 +101,8 @@ def real_rows(
 ) -> tuple[RealViewRow, list[RealObjectRow]]:
     """Score a reconstruction of a view.
 
-    One photograph does not determine the scale, so the whole scene is scaled about the camera by
-    the median ratio of the objects' distances.
+    The whole scene is aligned with the truth by the similarity of the rendered with the sensor's
+    depth; without a depth image, by a scale about the camera.
 
     Args:
         view: the ground truth.
@@ -85,7 +110,8 @@ def real_rows(
         o: options of the final check.
 
     Raises:
-        SpecError: the reconstruction has no camera or one of another aspect.
+        SpecError: the reconstruction has no camera or one of another aspect, or it cannot be
+            aligned.
     """
     where = f"{view.name}, {made.stage}"
     camera = made.scene.camera
@@ -102,18 +128,25 @@ def real_rows(
     supports = {item.name for item in made.scene.objects if item.environment}
     free = {name: mesh for name, mesh in meshes.items() if name not in supports}
     pairs = matched(free, view.objects, intrinsics, view.camera)
-    true = [item for item in view.objects if item.name in pairs]
-    scale = scale_of([free[pairs[item.name]] for item in true], true)
+    depth = None
+    if view.depth is None:
+        true = [item for item in view.objects if item.name in pairs]
+        similarity = scale_of([free[pairs[item.name]] for item in true], true)
+    else:
+        depth = _depth(view, made.scene, camera, intrinsics, where)
+        similarity = depth.similarity
     check = measured(made.scene, o)
     return RealViewRow(
         view=view.name,
         stage=made.stage,
-        scale=scale,
+        scale=similarity.scale,
+        rotation_deg=similarity.angle_deg,
+        inliers=None if depth is None else depth.inliers,
         true_objects=len(view.objects),
         matched=len(pairs),
-        extra=len(free) - len(pairs),
+        extra=len(free) - len(pairs) if view.objects else 0,
         check_passed=passes(check, o),
-    ), list(_object_rows(view, made.stage, free, pairs, scale))
+    ), list(_object_rows(view, made.stage, meshes, pairs, depth, similarity))
 
 
 def posed_meshes(scene: SceneSpec, camera: Camera) -> dict[str, PosedMesh]:
@@ -126,12 +159,25 @@ def posed_meshes(scene: SceneSpec, camera: Camera) -> dict[str, PosedMesh]:
     return result
 
 
+def _depth(
+    view: TrueView, scene: SceneSpec, camera: Camera, intrinsics: Intrinsics, where: str
+) -> DepthMeasure:
+    assert view.depth is not None and view.size is not None
+    rendered = scene_points(scene, camera, intrinsics, view.size)
+    sensor = sensor_points(view.depth, view.camera)
+    try:
+        return depth_measure(rendered.points, rendered.segmentation, rendered.names, sensor)
+    except ValueError as error:
+        raise SpecError(f"{where}: {error}") from None
+
+
 def _object_rows(
     view: TrueView,
     stage: str,
     meshes: dict[str, PosedMesh],
     pairs: dict[str, str],
-    scale: float,
+    depth: DepthMeasure | None,
+    similarity: Similarity,
 ) -> Iterator[RealObjectRow]:
     partner = {name: true for true, name in pairs.items()}
     true_objects = {item.name: item for item in view.objects}
@@ -143,18 +189,28 @@ def _object_rows(
             stage=stage,
             object=name,
             true_object=true,
-            **_pose_columns(meshes.get(name), true_objects.get(true), scale),
+            **_depth_columns(depth, name),
+            **_pose_columns(meshes.get(name), true_objects.get(true), similarity),
         )
 
 
+def _depth_columns(depth: DepthMeasure | None, name: str) -> dict[str, Any]:
+    error = None if depth is None else depth.objects.get(name)
+    columns: dict[str, Any] = dict.fromkeys(("error_mm", "depth_error_mm", "bias_mm"))
+    if error is None:
+        return columns | {"visible_px": 0, "measured_px": 0}
+    known = error._asdict()
+    return known if error.measured_px else known | columns
+
+
 def _pose_columns(
-    posed: PosedMesh | None, true: PosedObject | None, scale: float
+    posed: PosedMesh | None, true: PosedObject | None, similarity: Similarity
 ) -> dict[str, Any]:
     import trimesh
 
     if posed is None or true is None or not len(posed.faces):
         return dict.fromkeys(("position_mm", "add_s", "icp_rot_deg", "box_iou"))
-    a = trimesh.Trimesh(scale * posed.vertices, posed.faces, process=False)
+    a = trimesh.Trimesh(similarity.apply(posed.vertices), posed.faces, process=False)
     b = trimesh.Trimesh(true.posed, true.faces, process=False)
     middles = [(mesh.bounds[0] + mesh.bounds[1]) / 2 for mesh in (a, b)]
     predicted, truth = (sampled([mesh], POINTS, 0) for mesh in (a, b))
@@ -169,6 +225,26 @@ def _pose_columns(
 
 ALIGNED = "compose/align.json"
 MEANS = ("position_mm", "add_s", "icp_rot_deg", "box_iou")
+
+
+def true_views(data: Path, names: Collection[str]) -> Iterator[TrueView]:
+    """Read views of a data set in the BOP format, or of a folder of depth images.
+
+    Args:
+        data: its folder.
+        names: of the views to read, as far as there are any.
+
+    Raises:
+        SpecError: the folder has neither format, or a file is missing or broken.
+    """
+    if is_bop(data):
+        return bop_views(data, names)
+    if is_depth_folder(data):
+        return depth_views(data, names)
+    raise SpecError(
+        f"{data} has neither scene_gt.json (BOP) nor NAME-depth.png; docs/real-poses.md has the "
+        "layouts"
+    )
 
 
 def score_real_views(
@@ -192,7 +268,7 @@ def score_real_views(
         raise SpecError(f"{runs} is no folder")
     names = sorted(folder.name for folder in runs.iterdir() if folder.is_dir())
     rows: list[RealViewRow | RealObjectRow] = []
-    for view in bop_views(data, names):
+    for view in true_views(data, names):
         score = partial(_scored, view, runs / view.name, options or RefineOptions())
         rows += (kept or RowStore(None)).rows(view.name, score)
     if not rows:
@@ -234,10 +310,13 @@ def real_figures(
         stage_views = [row for row in views if row.stage == stage]
         stage_objects = [row for row in objects if row.stage == stage]
         true = [row for row in stage_objects if row.true_object]
+        errors = [row.error_mm for row in stage_objects if row.error_mm is not None]
         figure: dict[str, Any] = {
             "views": len(stage_views),
             "check_passed": float(np.mean([row.check_passed for row in stage_views])),
         }
+        if errors:
+            figure["median_error_mm"] = {"value": float(np.median(errors)), "n": len(errors)}
         if true:
             figure |= {
                 "true_objects": len(true),

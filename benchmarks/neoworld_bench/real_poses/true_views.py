@@ -1,18 +1,24 @@
-"""Ground truth of a real photograph: camera, and objects with meshes and poses.
+"""Ground truth of a real photograph: camera, depth, and objects with meshes and poses.
 
-Files are a stranger's and are read within bounds.
+Readers of data sets return these views; files are a stranger's and are read within bounds. The
+views of a folder of depth images, registered to the photographs, have no objects:
+
+    DATA/NAME-depth.png       16 bits
+    DATA/camera.json          {"fx": 1066.778, "fy": 1067.487, "cx": 312.987, "cy": 241.311,
+                               "depth_scale": 0.1}, as BOP's camera.json
 
 Data sets in the BOP format: YCB-V, T-LESS, HOPE, HomebrewedDB and others.
 
     DATA/models_eval/obj_000001.ply, models_info.json      or models, models_cad [mm]
-    DATA/SPLIT/SCENE/scene_camera.json, scene_gt.json, scene_gt_info.json, rgb/IMAGE.png
+    DATA/SPLIT/SCENE/scene_camera.json, scene_gt.json, scene_gt_info.json, depth/IMAGE.png
 
 Compared field by field with docs/bop_datasets_format.md of thodan/bop_toolkit (commit a3b3256):
 `cam_K` and `cam_R_m2c` row by row; poses map the model's frame to the camera's (OpenCV, z ahead);
-models and translations in millimeters; `visib_fract` is the visible share of the silhouette; the
-diameter is the largest distance of two vertices of the evaluation model. Not read: depth,
-`models_info.json` (diameters are computed, and ADD-S needs no symmetries), the list of targets,
-masks, `cam_R_w2c`, and files of several sensors (`scene_gt_CAMTYPE.json`).
+models and translations in millimeters; depth times `depth_scale` is millimeters; `visib_fract` is
+the visible share of the silhouette; the diameter is the largest distance of two vertices of the
+evaluation model. Not read: `models_info.json` (diameters are computed, and ADD-S needs no
+symmetries), the list of targets, masks, `cam_R_w2c`, and files of several sensors
+(`scene_gt_CAMTYPE.json`).
 """
 
 import re
@@ -33,6 +39,8 @@ from neoworld_mjx.io.files import MIB, read_bytes
 
 from ..measures.pose_measure import Intrinsics
 
+ENDING = "-depth.png"
+CAMERA = "camera.json"
 NOT_ROTATION = 1e-2
 """Largest deviation of R R^T from the identity; data sets round to few digits."""
 
@@ -64,8 +72,31 @@ class TrueView:
     objects: tuple[PosedObject, ...]
     """In the camera's frame (OpenCV: x right, y down, z ahead)."""
     camera: Intrinsics
-    size: tuple[int, int] | None
-    """Width and height of the image [px]; None without an image."""
+    size: tuple[int, int] | None = None
+    """Width and height of the image [px]; None without a depth image."""
+    depth: Float[np.ndarray, "h w"] | None = None
+    """Depth along the optical axis [m]; 0 where the sensor measured none."""
+
+
+def read_depth(file: Path, mm: float) -> Float[np.ndarray, "h w"]:
+    """Read a 16-bit depth image as meters.
+
+    Args:
+        file: an image of one channel.
+        mm: millimeters of one unit, BOP's depth_scale.
+
+    Raises:
+        SpecError: it cannot be read, or is no image of one channel.
+    """
+    try:
+        data = read_bytes(file, file_bounds().max_file_mib * MIB)
+    except OSError as error:
+        raise SpecError(f"cannot read {file}: {error.strerror}") from None
+    with open_image(data, str(file), SpecError) as image:
+        values = np.asarray(image)
+    if values.ndim != 2 or values.dtype == bool:
+        raise SpecError(f"{file} is no depth image: expected is one channel of 16 bits")
+    return values.astype(float) * (mm / 1000)
 
 
 def numbers(entry: object, key: str, count: int, where: str) -> Float[np.ndarray, " n"]:
@@ -111,13 +142,47 @@ def diameter_of(vertices: Float[np.ndarray, "v 3"]) -> float:
     return float(pdist(vertices).max()) if len(vertices) > 1 else 0.0
 
 
+def is_depth_folder(path: Path) -> bool:
+    """Return True if a folder has depth images."""
+    return any(path.glob(f"*{ENDING}"))
+
+
+def depth_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
+    """Read the depth images of a folder.
+
+    Args:
+        path: the folder.
+        names: of the photographs to read, as far as there are any.
+
+    Raises:
+        SpecError: a file is missing or broken.
+    """
+    stated = read_object(path / CAMERA, SpecError)
+    fx, fy, cx, cy, mm = (
+        float(numbers(stated, key, 1, str(path / CAMERA))[0])
+        for key in ("fx", "fy", "cx", "cy", "depth_scale")
+    )
+    if min(fx, fy, mm) <= 0:
+        raise SpecError(f"{path / CAMERA}: focal lengths and the depth scale must be above 0")
+    for file in sorted(path.glob(f"*{ENDING}")):
+        name = file.name.removesuffix(ENDING)
+        if name in names:
+            depth = read_depth(file, mm)
+            size = depth.shape[1], depth.shape[0]
+            yield TrueView(name, (), Intrinsics(fx, fy, cx, cy), size, depth)
+
+
 MODELS = ("models_eval", "models", "models_cad", "models_reconst", "models_fine")
 """Folders of meshes in millimeters, in the order of preference."""
 CAMERA_FILE, POSES, INFO = "scene_camera.json", "scene_gt.json", "scene_gt_info.json"
-IMAGES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.tif", "depth/{:06d}.png")
-"""Files that give the size of an image."""
 LEAST_VISIBLE = 0.1
 """Least visible share of an object; BOP's targets have the same bound."""
+IMAGES = (".png", ".jpg", ".tif")
+
+
+def is_bop(path: Path) -> bool:
+    """Return True if a folder is a data set in the BOP format, or a scene of one."""
+    return (path / POSES).is_file() or bool(_scene_folders(path))
 
 
 def bop_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
@@ -136,7 +201,7 @@ def bop_views(path: Path, names: Collection[str]) -> Iterator[TrueView]:
     """
     scenes = {path.name: path} if (path / POSES).is_file() else _named_scenes(path)
     if not scenes:
-        raise SpecError(f"{path} has no {POSES} (BOP) in itself, SCENE or SPLIT/SCENE")
+        raise SpecError(f"{path} has no {POSES} in itself, SCENE or SPLIT/SCENE")
     models = _models(path)
     for scene, folder in scenes.items():
         if not any(name.startswith(f"{scene}_") for name in names):
@@ -163,6 +228,9 @@ def _view(
     k = numbers(camera, "cam_K", 9, where)
     if min(k[0], k[4]) <= 0:
         raise SpecError(f"{where}: cam_K has no positive focal lengths")
+    scale = numbers(camera, "depth_scale", 1, where)[0] if "depth_scale" in (camera or {}) else 1.0
+    file = _image(folder / "depth", _number(image))
+    depth = None if file is None else read_depth(file, float(scale))
     where = f"{folder / POSES}, image {image}"
     if not isinstance(poses, list):
         raise SpecError(f"{where}: expected is a list of objects")
@@ -179,8 +247,9 @@ def _view(
         copies = sum(item.name.rpartition("_")[0] == stem or item.name == stem for item in objects)
         label = stem if not copies else f"{stem}_{copies + 1}"
         objects.append(PosedObject(label, vertices, faces, pose, diameter))
+    size = None if depth is None else (depth.shape[1], depth.shape[0])
     intrinsics = Intrinsics(float(k[0]), float(k[4]), float(k[2]), float(k[5]))
-    return TrueView(name, tuple(objects), intrinsics, _size(folder, _number(image)))
+    return TrueView(name, tuple(objects), intrinsics, size, depth)
 
 
 def _visible(info: Any, index: int) -> float:
@@ -225,13 +294,9 @@ def _named_scenes(path: Path) -> dict[str, Path]:
     }
 
 
-def _size(folder: Path, number: int) -> tuple[int, int] | None:
-    file = next((f for name in IMAGES if (f := folder / name.format(number)).is_file()), None)
-    if file is None:
-        return None
-    data = read_bytes(file, file_bounds().max_file_mib * MIB)
-    with open_image(data, str(file), SpecError) as image:
-        return image.size
+def _image(folder: Path, number: int) -> Path | None:
+    files = (folder / f"{number:06d}{suffix}" for suffix in IMAGES)
+    return next((file for file in files if file.is_file()), None)
 
 
 def _number(key: str) -> int:

@@ -1,4 +1,5 @@
-"""A reconstructed scene in the frame of its camera, and the true objects that its objects match."""
+"""A reconstructed scene in the frame of its camera: its points by ray casting, and its objects with
+the true objects that they match."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -8,19 +9,55 @@ from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from neoworld_mjx.measure import iou_2d
-from neoworld_mjx.spec import Camera
+from neoworld_mjx.render.ray_caster import RayCaster
+from neoworld_mjx.render.rendering import compile_posed, object_of_geoms
+from neoworld_mjx.spec import Camera, SceneSpec
 
-from ..measures.pose_measure import Intrinsics
+from ..measures.pose_measure import IDENTITY, Intrinsics, Similarity
 from .true_views import PosedObject
 
 LEAST_OVERLAP = 0.3
 """Least intersection over union of the image boxes of a pair that no name decides."""
 
 
+class ScenePoints(NamedTuple):
+    """Depth and object at each pixel of a camera."""
+
+    points: Float[np.ndarray, "h w 3"]
+    """In the camera's frame: x right, y down, z ahead [m]; inf for the background."""
+    segmentation: Int[np.ndarray, "h w"]
+    """Index of the object; -1 for the background."""
+    names: tuple[str, ...]
+
+
 def intrinsics_of(camera: Camera, width: int, height: int) -> Intrinsics:
     """Return the intrinsics of a scene's camera for an image of another size."""
     focal = camera.focal * height / camera.height_px
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def scene_points(
+    scene: SceneSpec, camera: Camera, intrinsics: Intrinsics, size: tuple[int, int]
+) -> ScenePoints:
+    """Cast a ray through the center of every pixel.
+
+    Args:
+        scene: the scene in its poses.
+        camera: its place and direction; its field of view is not used.
+        intrinsics: of the image.
+        size: width and height of the image [px].
+    """
+    model, data = compile_posed(scene)
+    directions = intrinsics.directions(*size)
+    eye, axes = camera.position(), camera.axes()
+    # The directions have depth 1, so that the distance along them is the depth.
+    hits = RayCaster(model, data).hits(eye, directions.reshape(-1, 3) @ axes.T, smooth=False)
+    depth = hits.distance.reshape(directions.shape[:2])
+    owner, names = object_of_geoms(model)
+    geom = hits.geom.reshape(depth.shape)
+    hit = geom >= 0
+    points = np.where(hit[..., None], directions * np.where(hit, depth, 0.0)[..., None], np.inf)
+    return ScenePoints(points, np.where(hit, owner[np.maximum(geom, 0)], -1).astype(int), names)
 
 
 def in_camera(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -73,13 +110,13 @@ def matched(
     return pairs
 
 
-def scale_of(reconstructed: Sequence[PosedMesh], true: Sequence[PosedObject]) -> float:
+def scale_of(reconstructed: Sequence[PosedMesh], true: Sequence[PosedObject]) -> Similarity:
     """Return the scale about the camera that brings pairs of objects to the true distance."""
     ratios = [
-        np.linalg.norm(surface_centroid(item.posed, item.faces)) / np.linalg.norm(mesh.centroid)
+        np.linalg.norm(_centroid(item)) / np.linalg.norm(mesh.centroid)
         for mesh, item in zip(reconstructed, true, strict=True)
     ]
-    return float(np.median(ratios)) if ratios else 1.0
+    return IDENTITY._replace(scale=float(np.median(ratios))) if ratios else IDENTITY
 
 
 def surface_centroid(
@@ -91,6 +128,10 @@ def surface_centroid(
     if area.sum() <= 0:
         return vertices.mean(axis=0)
     return area @ (a + b + c) / 3 / area.sum()
+
+
+def _centroid(item: PosedObject) -> Float[np.ndarray, " 3"]:
+    return surface_centroid(item.posed, item.faces)
 
 
 def _image_box(points: Float[np.ndarray, "n 3"], camera: Intrinsics) -> Float[np.ndarray, " 4"]:
