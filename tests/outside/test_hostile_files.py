@@ -5,6 +5,7 @@ import ctypes
 import io
 import json
 import os
+import resource
 import struct
 import time
 import zipfile
@@ -422,3 +423,12 @@ def test_the_library_reads_files_only_by_bounded_readers():
                 assert {"encoding", "utf-8"} & (keywords | constants), line
             if path.name != "pages.py":  # The pages of options come from the repository itself.
                 assert function not in UNBOUNDED, f"{line}: use neoworld_mjx.io"
+
+
+def cpu_limit(path):
+    return resource.getrlimit(resource.RLIMIT_CPU)
+
+
+def test_a_reader_has_the_limit_of_processor_time(tmp_path):
+    with bounded_by(FileOptions(timeout_s=1.5)):
+        assert call_limited(cpu_limit, tmp_path) == (2, 3)

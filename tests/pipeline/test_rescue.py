@@ -21,6 +21,7 @@ from neoworld_bench.rescues.rescue_rows import (
 from PIL import Image
 
 from neoworld_mjx import cli
+from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing import import_file
@@ -28,12 +29,14 @@ from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
+from neoworld_mjx.pipeline import place as place_module
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import Evidence, place
 from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
 from neoworld_mjx.render import visible_surface
-from neoworld_mjx.spec import SceneSpec, read_scene, world_poses
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, world_poses
 from neoworld_mjx.spec.pose import pose
+from tests.support import scenes
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import write_glb, write_poses
 
@@ -301,3 +304,53 @@ def test_photograph_of_a_run_is_its_own(tmp_path, capfd):
     with pytest.raises(SystemExit, match="2"):
         cli.main(["refine", str(tmp_path), "--photo", str(tmp_path / "a.png")])
     assert "--photo belongs to --from" in capfd.readouterr().err
+
+
+def carried(size, offset=(0, 0, 0), yaw=0.0, below=0.2):
+    """A cube of some edge length on a slab of an edge length `below`, 10 cm high."""
+    slab = trimesh.creation.box(extents=(below, below, 0.1))
+    cube = trimesh.creation.box(extents=(size, size, size))
+    cube.apply_translation(offset)
+    at = np.array([0.8, 0, 0.1 + size / 2])
+    meshes = {
+        "slab": (slab, upright(np.array([0.8, 0, 0.05]), 0)),
+        "cube": (cube, upright(at, yaw)),
+    }
+    return scene_of_meshes(meshes).spec
+
+
+def test_the_box_of_an_object_off_its_origin_stands_below_the_object():
+    cube = scenes.single("cube", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    geom = cube.parts[0].geoms[0].model_copy(update={"pos": (0.05, 0.02, 0.0)})
+    part = cube.parts[0].model_copy(update={"geoms": (geom,)})
+    cube = cube.model_copy(update={"parts": (part,)})
+    item = SceneObject(name="cube", spec=cube, xy=(0.8, 0), z=0.15, yaw=np.pi / 2)
+    node = mesh_tree(SceneSpec(name="one", objects=(item,))).tree.node("cube")
+    assert node.box3d.position == pytest.approx((0.8 - 0.02, 0.05, 0.1), abs=1e-6)
+
+
+@pytest.mark.parametrize(("below", "floor"), [(0.15, True), (0.25, False)])
+def test_only_a_carrier_of_four_times_the_area_is_a_support(below, floor):
+    tree = mesh_tree(carried(0.1, below=below)).tree
+    assert tree.node("slab").parent == ("floor" if floor else None)
+    assert tree.node("cube").parent == "slab"
+
+
+def test_the_alignment_gets_what_was_measured_and_contact_the_composed_scene(monkeypatch):
+    got = {}
+
+    def aligned(scene, photo, options, measured=()):
+        got["measured"] = measured
+        return Alignment(scene)
+
+    def contact(scene, options, *, composed=None):
+        got["composed"] = composed
+        return scene, ()
+
+    monkeypatch.setattr(place_module, "align", aligned)
+    monkeypatch.setattr(place_module, "in_contact", contact)
+    meshes = mesh_tree(carried(0.1), CAMERA)
+    tree = meshes.tree.model_copy(update={"camera_measured": ("pitch",)})
+    photo = np.zeros((CAMERA.height_px, CAMERA.width, 3), np.uint8)
+    result = place_module.place(tree, meshes.objects, place_module.Evidence(photo, boxes=False))
+    assert got == {"measured": ("pitch",), "composed": result.composed.scene}

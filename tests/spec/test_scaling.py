@@ -6,11 +6,13 @@ from typing import Annotated, get_args
 import numpy as np
 import pytest
 
-from neoworld_mjx.spec import JointSpec, Mimic, ObjectSpec, PartSpec, Shape
+from neoworld_mjx.spec import Box, JointSpec, Mimic, ObjectSpec, PartSpec, Shape, scale
 from neoworld_mjx.spec.base import Length, Number, ScalableSpec
 from neoworld_mjx.spec.dimensions import LENGTH, UNSCALED, Motion
+from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.spec.primitives import BaseShape, Point2
 from neoworld_mjx.spec.scale import joint_exponents, mimic_exponents
+from tests.support import scenes
 from tests.support.sample_shapes import SHAPES
 
 
@@ -127,3 +129,12 @@ def test_a_mimic_scales_by_both_joints():
     assert powers == [(0, 0), (-1, 0), (1, 1), (0, 1)]
     mimic = Mimic(joint="j", multiplier=3.0, offset=0.5)
     assert mimic.scaled(2.0, Motion(slides=True)) == Mimic(joint="j", multiplier=6.0, offset=1.0)
+
+
+def test_an_authored_inertia_scales_with_the_square_of_length():
+    spec = scenes.single("a", (Box(size=(0.1, 0.2, 0.3)), (0, 0, 0)))
+    inertia = AuthoredInertia(pos=(0.1, 0, 0), moments=(2, 3, 4), products=(0.1, 0.2, 0.3))
+    part = spec.parts[0].model_copy(update={"mass": 2.0, "inertia": inertia})
+    (big,) = scale(spec.model_copy(update={"parts": (part,)}), 2.0).parts
+    assert big.mass == 2.0 and big.inertia.pos == (0.2, 0, 0)
+    assert np.allclose(big.inertia.tensor(), 4 * inertia.tensor())
