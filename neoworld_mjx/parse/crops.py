@@ -1,4 +1,4 @@
-"""What the photograph shows of each node: crops of objects, and colors of supports.
+"""Crops of objects and colors of supports, as the photograph shows them.
 
 A crop has outlines of the object's neighbors and a note on occlusion. A color is measured on pixels
 that show only the support. A pixel shows a support if the ray through the pixel hits this support

@@ -35,7 +35,7 @@ Photo = UInt8[np.ndarray, "row column 3"]
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known about the layout of a scene besides its tree."""
+    """Evidence about the layout of a scene in addition to its tree."""
 
     photo: Photo | None = field(default=None, repr=False)
     """The photograph (sRGB) that the camera of the tree took; without one, the scene is composed

@@ -1,6 +1,6 @@
 """Plans of a model in the scenes that it sees, executed there and in the ground truth.
 
-A model is told of a scene by a picture and numbers, and answers with a plan (Section 4.4 of the
+A model gets a scene as a picture and numbers, and answers with a plan (Section 4.4 of the
 paper). The paper says of a plan that fails: "We use this execution outcome as a feedback signal to
 iteratively refine the scene layout until the placement succeeds"; it does not state the method.
 Here the Cross-Entropy Method of the scene refinement moves the objects that the task names. A
