@@ -6,7 +6,7 @@ Each response is fitted to its own 2D boxes and checked without a model. A repai
 - the faults that the critic sees in the drawing of the scene.
 
 The response to a repair request contains only changes. The result is the response with the best
-score. The vertical edges in the photograph (`fit.image_lines`) check the parsed camera.
+score. The vertical edges in the photograph (`estimate.image_lines`) check the parsed camera.
 """
 
 import asyncio
@@ -20,11 +20,11 @@ from pydantic import ValidationError
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
-from ..fit.fit_tree import FitReport, fit_tree
-from ..fit.image_lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..fit.priors import is_slab
-from ..fit.projection import outline_of
-from ..fit.tree_checks import SceneIssue, check_score, check_tree
+from ..estimate.fit_tree import FitReport, fit_tree
+from ..estimate.image_lines import EdgeRegion, VerticalEdges, vertical_edges
+from ..estimate.priors import is_slab
+from ..estimate.projection import outline_of
+from ..estimate.tree_checks import SceneIssue, check_score, check_tree
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix

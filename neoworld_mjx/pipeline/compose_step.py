@@ -33,8 +33,8 @@ from .step_context import (
 )
 
 if TYPE_CHECKING:
-    from ..align.alignment import Alignment
     from ..compose.layout_patch import LayoutPatch
+    from ..estimate.alignment import Alignment
     from .place import LayoutEstimate
 
 
@@ -84,7 +84,7 @@ def compose_scene(context: StepContext) -> None:
                 _write_alignment(run, start, placed.alignment, evidence.photo, out)
             scene, stale = apply_layout(placed.scene, patch, options.gap_m)
             if evidence.photo is not None and options.looks:
-                from ..align.looks import as_photographed
+                from ..estimate.looks import as_photographed
 
                 scene = as_photographed(scene, evidence.photo)
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
@@ -160,7 +160,7 @@ def _write_alignment(
         photo: the photograph (sRGB).
         out: folder of the step's files.
     """
-    from ..align.outlines import evidence_picture, outline_errors, outline_picture
+    from ..estimate.outlines import evidence_picture, outline_errors, outline_picture
     from ..render import to_png
 
     report, aligned = alignment.to_json(), alignment.scene

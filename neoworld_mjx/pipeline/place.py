@@ -13,14 +13,14 @@ from functools import partial
 import numpy as np
 from jaxtyping import UInt8
 
-from ..align.align import align
-from ..align.alignment import Alignment
 from ..compose.compose import Composed, compose
 from ..compose.on_supports import in_contact
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
-from ..fit.fit_tree import FitReport
-from ..fit.refit import refit_tree
+from ..estimate.align import align
+from ..estimate.alignment import Alignment
+from ..estimate.fit_tree import FitReport
+from ..estimate.refit import refit_tree
 from ..measure import SceneMeasure, shown_sides
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine

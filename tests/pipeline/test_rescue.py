@@ -21,9 +21,9 @@ from neoworld_bench.rescues.rescue_rows import (
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
+from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.colors import LabImage, color_models
-from neoworld_mjx.align.contours import contour, displacements
-from neoworld_mjx.align.rasterize import DrawnObjects
+from neoworld_mjx.estimate.colors import LabImage, color_models
+from neoworld_mjx.estimate.contours import contour, displacements
+from neoworld_mjx.estimate.rasterize import DrawnObjects
 
 SHAPE = (200, 320)
 LID_TOP, LID_BOTTOM, FOOT = 60, 78, 150

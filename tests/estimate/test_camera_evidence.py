@@ -5,19 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import align
-from neoworld_mjx.align.camera_evidence import (
+from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.camera_evidence import (
     edges_of_photo,
     has_vertical_edges,
     linearized_edges,
 )
-from neoworld_mjx.align.rasterize import WorldMesh
-from neoworld_mjx.align.unknowns import CAMERA
-from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.estimate.rasterize import WorldMesh
+from neoworld_mjx.estimate.unknowns import CAMERA
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Box, Cylinder, Sphere
 from neoworld_mjx.spec.pose import from_axis_angle, matrix
-from tests.align import desk
+from tests.estimate import desk
 
 
 def with_camera(scene, **changes):

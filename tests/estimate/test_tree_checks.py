@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.fit_data import hidden_sides
-from neoworld_mjx.fit.priors import camera_sd
-from neoworld_mjx.fit.tree_checks import agreement, check_score, check_tree
+from neoworld_mjx.estimate.fit_data import hidden_sides
+from neoworld_mjx.estimate.priors import camera_sd
+from neoworld_mjx.estimate.tree_checks import agreement, check_score, check_tree
 from neoworld_mjx.measure import SidesShown
 from neoworld_mjx.spec import Box2D
 from tests.support import answers

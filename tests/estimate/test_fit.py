@@ -3,14 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.fit_tree import fit_tree
-from neoworld_mjx.fit.projection import (
+from neoworld_mjx.estimate.fit_tree import fit_tree
+from neoworld_mjx.estimate.projection import (
     extents_in_picture,
     hull_wireframe,
     visible_box,
 )
-from neoworld_mjx.fit.refit import refit_tree, surface_of
-from neoworld_mjx.fit.tree_checks import agreement
+from neoworld_mjx.estimate.refit import refit_tree, surface_of
+from neoworld_mjx.estimate.tree_checks import agreement
 from neoworld_mjx.measure import SidesShown
 from neoworld_mjx.spec import Box, Box2D, Box3D, Cues, SceneTree
 from tests.support import answers, scenes

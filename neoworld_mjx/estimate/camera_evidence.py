@@ -9,8 +9,8 @@ import math
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..fit.image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from ..spec import Box2D
+from .image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from .rasterize import WorldMesh
 from .unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns
 

@@ -6,7 +6,7 @@ import pytest
 # The desk is imported here: JAX's options are set after this file is read.
 @pytest.fixture(scope="session")
 def five():
-    from tests.align import desk
+    from tests.estimate import desk
 
     return desk.five()
 
@@ -14,6 +14,6 @@ def five():
 @pytest.fixture(scope="session")
 def photo(five):
     """In 640 columns."""
-    from tests.align import desk
+    from tests.estimate import desk
 
     return desk.photograph(five, 640)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.normal_equations import image_jacobian
-from neoworld_mjx.align.unknowns import CAMERA, EACH
+from neoworld_mjx.estimate.normal_equations import image_jacobian
+from neoworld_mjx.estimate.unknowns import CAMERA, EACH
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import matrix
-from tests.align import desk
+from tests.estimate import desk
 from tests.support import scenes
 
 SCENES = [scenes.coffee, scenes.furnished, scenes.lamp, desk.five]

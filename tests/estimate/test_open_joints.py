@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import align
-from neoworld_mjx.align.normal_equations import image_jacobian
-from neoworld_mjx.align.open_joints import LEAST_OPENING
-from neoworld_mjx.align.unknowns import STRETCH
 from neoworld_mjx.compose.on_supports import in_contact
 from neoworld_mjx.config import AlignOptions, ComposeOptions
+from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.normal_equations import image_jacobian
+from neoworld_mjx.estimate.open_joints import LEAST_OPENING
+from neoworld_mjx.estimate.unknowns import STRETCH
 from neoworld_mjx.spec import (
     Box,
     GeomSpec,
@@ -21,7 +21,7 @@ from neoworld_mjx.spec import (
     link_poses,
     world_poses,
 )
-from tests.align import desk
+from tests.estimate import desk
 
 DEPTH, WIDTH, HEIGHT, WALL = 0.14, 0.2, 0.24, 0.012
 FRONT = -DEPTH / 2 - WALL / 2

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from neoworld_mjx.align.rasterize import draw_objects
-from neoworld_mjx.align.unknowns import Unknowns
+from neoworld_mjx.estimate.rasterize import draw_objects
+from neoworld_mjx.estimate.unknowns import Unknowns
 from neoworld_mjx.render import render
 from neoworld_mjx.spec import (
     Box,
@@ -94,7 +94,7 @@ def unknowns_of(scene):
 
 
 def drawn(scene, width):
-    """The objects drawn at an image's width, as tests/align/test_rasterize.py checks it."""
+    """The objects drawn at an image's width, as tests/estimate/test_rasterize.py checks it."""
     unknowns = unknowns_of(scene)
     now = unknowns.place(np.zeros((1, unknowns.size)))[0]
     meshes = [unknowns.mesh(now, k) for k in range(len(scene.objects))]

@@ -4,12 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.looks import as_photographed
+from neoworld_mjx.estimate.looks import as_photographed
 from neoworld_mjx.export.write_mjcf import mjcf_text
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import render
 from neoworld_mjx.render.appearance import linear, read_print
-from tests.align import desk
+from tests.estimate import desk
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import trimesh
 from PIL import Image
 from pxr import Usd, UsdShade
 
-from neoworld_mjx.align.looks import printed
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.estimate.looks import printed
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.write_glb import visible_surface
 from neoworld_mjx.render import render

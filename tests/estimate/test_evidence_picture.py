@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.outlines import WIDTH_PX, evidence_picture
-from tests.align import desk
+from neoworld_mjx.estimate.outlines import WIDTH_PX, evidence_picture
+from tests.estimate import desk
 
 
 @pytest.fixture(scope="module")

@@ -5,16 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.alignment import (
+from neoworld_mjx.estimate.alignment import (
     FIXED_YAW,
     LOG_STRETCH,
     camera_deviations,
     prior_precision,
 )
-from neoworld_mjx.align.unknowns import FOCAL, STRETCH, TILT
-from neoworld_mjx.fit.priors import ACROSS, DEPTH, LOG_SIZE, PITCH, YAW
+from neoworld_mjx.estimate.priors import ACROSS, DEPTH, LOG_SIZE, PITCH, YAW
+from neoworld_mjx.estimate.unknowns import FOCAL, STRETCH, TILT
 from neoworld_mjx.spec import HollowBox
-from tests.align import desk
+from tests.estimate import desk
 
 
 def precision(unknowns, x):

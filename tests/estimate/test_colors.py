@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.colors import (
+from neoworld_mjx.estimate.colors import (
     LARGEST,
     LabImage,
     bins_of,
@@ -15,8 +15,8 @@ from neoworld_mjx.align.colors import (
     shown_at,
     to_lab,
 )
-from neoworld_mjx.align.rasterize import draw_objects
-from tests.align import desk
+from neoworld_mjx.estimate.rasterize import draw_objects
+from tests.estimate import desk
 
 RED, GRAY, BLUE = (200, 30, 30), (128, 128, 128), (30, 40, 200)
 

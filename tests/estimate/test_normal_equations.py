@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.alignment import camera_deviations, prior_precision
-from neoworld_mjx.align.colors import LabImage
-from neoworld_mjx.align.normal_equations import (
+from neoworld_mjx.estimate.alignment import camera_deviations, prior_precision
+from neoworld_mjx.estimate.colors import LabImage
+from neoworld_mjx.estimate.normal_equations import (
     BOX,
     BOX_PX,
     CONTOUR_PX,
@@ -14,9 +14,9 @@ from neoworld_mjx.align.normal_equations import (
     box_evidence,
     contour_evidence,
 )
-from neoworld_mjx.align.rasterize import draw_objects
-from neoworld_mjx.align.unknowns import CAMERA
-from tests.align import desk
+from neoworld_mjx.estimate.rasterize import draw_objects
+from neoworld_mjx.estimate.unknowns import CAMERA
+from tests.estimate import desk
 
 WIDTH = 640
 

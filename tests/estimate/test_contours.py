@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.colors import LabImage, color_models
-from neoworld_mjx.align.contours import BORDER_PX, contour, displacements
-from neoworld_mjx.align.rasterize import DrawnObjects
+from neoworld_mjx.estimate.colors import LabImage, color_models
+from neoworld_mjx.estimate.contours import BORDER_PX, contour, displacements
+from neoworld_mjx.estimate.rasterize import DrawnObjects
 
 SHAPE, MIDDLE, RADIUS = (240, 320), np.array([160.0, 120.0]), 50.0
 RED, GRAY, BLUE = ((200.0, 30.0, 30.0), (128.0, 128.0, 128.0), (30.0, 40.0, 200.0))

@@ -11,7 +11,7 @@ from neoworld_bench.rescues.rescue_rows import (
     upright,
 )
 
-from neoworld_mjx.align.outlines import outline_errors
+from neoworld_mjx.estimate.outlines import outline_errors
 from neoworld_mjx.spec import SceneSpec, scale
 
 RADIUS = 0.06

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import align, align_again
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.spec import Sphere
-from tests.align import desk
+from tests.estimate import desk
 
 DISPLACED = {
     "box": (12.0, 0.0, 3.0, 2.0),

@@ -2,7 +2,7 @@
 
 Prior of the alignment: how far the composed scene may be from the photographed one.
 
-Most standard deviations are those of the fit (`fit.priors`), which placed the objects. The priors
+Most standard deviations are those of the fit (`priors`), which placed the objects. The priors
 of objects and joints are Student's t distributions, because most objects are almost right and some
 are far off. So is that of the camera's pitch, which vertical edges can contradict.
 """
@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..fit.priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .contours import ShapeEvidence
 from .open_joints import OpenJoint
+from .priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from .unknowns import CAMERA, EACH, STRETCH, TILT, Placement, Unknowns
 
 NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0

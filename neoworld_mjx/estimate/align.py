@@ -16,7 +16,6 @@ from jaxtyping import Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
-from ..fit.image_lines import VerticalEdges
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
@@ -34,6 +33,7 @@ from .alignment import (
 from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
+from .image_lines import VerticalEdges
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.fit.refit import refit_tree, surface_of
+from neoworld_mjx.estimate.refit import refit_tree, surface_of
 from neoworld_mjx.spec import Box, Box2D, HollowBox
 from tests.support import answers, scenes
 

@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neoworld_mjx.fit.priors import CATEGORIES, category_of
-from neoworld_mjx.fit.projection import edges_in_view, expected_box, outline_points, visible_box
+from neoworld_mjx.estimate.priors import CATEGORIES, category_of
+from neoworld_mjx.estimate.projection import (
+    edges_in_view,
+    expected_box,
+    outline_points,
+    visible_box,
+)
 from neoworld_mjx.spec import Box3D, Camera
 from tests.support import answers
 

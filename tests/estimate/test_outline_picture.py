@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from neoworld_mjx.align.outlines import AFTER, BEFORE, outline_picture
-from neoworld_mjx.align.outlines import PICTURE_MARGIN_PX as MARGIN_PX
+from neoworld_mjx.estimate.outlines import AFTER, BEFORE, outline_picture
+from neoworld_mjx.estimate.outlines import PICTURE_MARGIN_PX as MARGIN_PX
 from neoworld_mjx.render import render
-from tests.align import desk
+from tests.estimate import desk
 
 
 def borders(scene, width):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.rasterize import WorldMesh, draw_objects, pixels_of
+from neoworld_mjx.estimate.rasterize import WorldMesh, draw_objects, pixels_of
 from neoworld_mjx.render import render
-from tests.align import desk
+from tests.estimate import desk
 
 ROLLED = desk.CAMERA.model_copy(update={"roll": 0.15})
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import align
-from neoworld_mjx.align.contacts import SceneGeoms, contacts
 from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.contacts import SceneGeoms, contacts
 from neoworld_mjx.physics.colliders import geom_distance, object_depths, object_of_geom, start_state
 from neoworld_mjx.spec import Mesh, bounds
-from tests.align import desk
+from tests.estimate import desk
 from tests.support.scenes import single
 
 WALL = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, 0.0, 0.09))
