@@ -160,7 +160,7 @@ def _trimmed(data: FitData, index: int, frame: Wireframe) -> Wireframe:
 def _projected(camera: Camera, view: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
     """Return the pixels of points in the camera frame."""
     pixels = view[..., :2] / np.maximum(view[..., 2:], NEAR_M) * camera.focal
-    return pixels + np.array([camera.width, camera.height_px]) / 2
+    return pixels + camera.center
 
 
 def _distance_from_interval(

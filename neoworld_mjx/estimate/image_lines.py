@@ -342,7 +342,7 @@ def _towards_ground(
     """Return the image direction of a vertical line, downwards, at each pixel; shape [..., 2]."""
     right, down = np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)
     ahead = np.sin(pitch)
-    x, y = np.moveaxis(pixels - np.array([camera.width, camera.height_px]) / 2, -1, 0)
+    x, y = np.moveaxis(pixels - camera.center, -1, 0)
     return np.stack([camera.focal * right - x * ahead, camera.focal * down - y * ahead], axis=-1)
 
 

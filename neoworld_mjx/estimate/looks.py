@@ -116,8 +116,7 @@ def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
 def _reduced(camera: Camera) -> tuple[Camera, float]:
     """Return a camera whose image is at most `MOST_PX` wide and high, and its scale factor."""
     scale = min(1.0, MOST_PX / max(camera.width, camera.height_px))
-    size = {"width": round(scale * camera.width), "height_px": round(scale * camera.height_px)}
-    return camera.model_copy(update=size), scale
+    return camera.resized(round(scale * camera.width), round(scale * camera.height_px)), scale
 
 
 def _printed_object(
@@ -317,12 +316,13 @@ def _print(
     levels = np.where(np.isfinite(sight), 1 + np.round(65534 * share), 0).astype(np.uint16)
     step = max(1, max(levels.shape) // DEPTH_PX)
     levels = _widened(levels, EDGE_STEPS * step)
-    # The projection x = focal * X / Z + width / 2, relative to the window.
+    # The projection x = focal * X / Z + principal point, relative to the window.
     axes = camera.axes().T
     wide, tall = x1 - x0, y1 - y0
+    u, v = camera.center
     inner = np.array([
-        [camera.focal / wide, 0, (camera.width / 2 - x0) / wide],
-        [0, camera.focal / tall, (camera.height_px / 2 - y0) / tall],
+        [camera.focal / wide, 0, (u - x0) / wide],
+        [0, camera.focal / tall, (v - y0) / tall],
         [0, 0, 1],
     ])  # fmt: skip
     turn = inner @ axes @ matrix(place.quat)

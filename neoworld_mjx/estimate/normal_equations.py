@@ -207,8 +207,7 @@ def _unprojected(
 ) -> Float[np.ndarray, "n 3"]:
     camera = now.camera
     ratio = width / camera.width
-    middle = np.array([camera.width, camera.height_px]) / 2
-    offset = (pixel / ratio - middle) / camera.focal
+    offset = (pixel / ratio - camera.center) / camera.focal
     local = np.concatenate([offset, np.ones((len(offset), 1))], axis=1) * depth[:, None]
     return camera.position() + local @ camera.axes().T
 

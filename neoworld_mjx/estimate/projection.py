@@ -220,8 +220,7 @@ def visible_box(
 
 
 def _pixel(camera: Camera, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    centre = np.array([camera.width / 2, camera.height_px / 2])
-    return local[..., :2] / local[..., 2:3] * camera.focal + centre
+    return local[..., :2] / local[..., 2:3] * camera.focal + camera.center
 
 
 def _clip(
@@ -344,7 +343,7 @@ def extents_in_picture(
         )
     ends = np.where((depth < 0)[..., None], crossing[:, None], ends)
     size = np.array([camera.width, camera.height_px], float)
-    pixels = ends[..., :2] / np.maximum(ends[..., 2:], NEAR_M) * camera.focal + size / 2
+    pixels = ends[..., :2] / np.maximum(ends[..., 2:], NEAR_M) * camera.focal + camera.center
     # The line from a to b is within the picture from fraction `enter` to `leave` of its length.
     a, b = pixels[:, 0], pixels[:, 1]
     enter, leave = np.zeros(len(a)), np.ones(len(a))
@@ -405,7 +404,7 @@ def near_border(
     """
     size = np.array([camera.width, camera.height_px], float)
     margin = MARGIN * size.max()
-    pixels = view[:, :2] / np.maximum(view[:, 2:], NEAR_M) * camera.focal + size / 2
+    pixels = view[:, :2] / np.maximum(view[:, 2:], NEAR_M) * camera.focal + camera.center
     inner = ((pixels > margin) & (pixels < size - margin)).all(axis=1) & (view[:, 2] > NEAR_M)
     extreme = np.zeros(len(pixels), bool)
     if inner.sum() > 3:

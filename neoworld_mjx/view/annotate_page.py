@@ -395,7 +395,7 @@ def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArra
     focal = view.image_height / 2 / math.tan(view.fov / 2)
     offset = (np.array(position) - 0.5) * window * camera.focal / focal
     size = np.array([camera.width, camera.height_px])
-    return np.clip(size / 2 + offset, 0.0, size)
+    return np.clip(camera.center + offset, 0.0, size)
 
 
 def _outline(camera: Camera, box: Box2D) -> NDArray:
