@@ -47,7 +47,8 @@ def compose_scene(context: StepContext) -> None:
     that it builds. The scene's picture is rendered in the background.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
-    from .place import Evidence, place
+    from ..evidence.evidence import Evidence
+    from .place import place
     from .resized_programs import editable_programs, write_resized
 
     run, config = context.run, context.config

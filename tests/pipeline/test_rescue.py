@@ -24,6 +24,7 @@ from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.estimate.alignment import Alignment
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes
@@ -31,7 +32,7 @@ from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline import place as place_module
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
-from neoworld_mjx.pipeline.place import Evidence, place
+from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, world_poses
