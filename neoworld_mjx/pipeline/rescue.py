@@ -13,6 +13,7 @@ from jaxtyping import UInt8
 from ..config import Config
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
+from ..evidence.evidence import Evidence
 from ..export.importing import ImportedScene, import_file
 from ..export.read_mesh_scene import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
 from ..io import bounded_by
@@ -24,7 +25,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import transformed_scene
 from .mesh_tree import MeshTree, mesh_tree
-from .place import Evidence, LayoutEstimate, RefinedPlacement, place, refine_placed
+from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, TREE
 
