@@ -9,19 +9,20 @@ pose, and its 2D box keeps it in place in the image if the camera moves.
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
+from ..evidence.evidence import Evidence
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .alignment import (
     Alignment,
-    Evidence,
+    EvidenceKind,
     FittedUnknowns,
     JointAlignment,
     ObjectAlignment,
@@ -33,6 +34,7 @@ from .alignment import (
 from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
+from .depth_rows import CAMERA_REACHES, SceneDepth, measured_place, moved_to
 from .image_lines import VerticalEdges
 from .normal_equations import NormalEquations, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
@@ -64,15 +66,17 @@ class AlignmentStage:
     """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
     local_colors: bool = False
     """If True, use the colors near each point of a contour, too."""
+    depth_reach: float = 0.02
+    """Residual of a depth at which its weight is quartered [m]."""
     open_focal: bool = False
     """If True, use the wide prior of the focal length, and estimate after each step whether the
     field of view is misjudged."""
 
 
 STAGES = (
-    AlignmentStage(2, COARSE_PX, open_focal=True),
-    AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True),
-    AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True),
+    AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
+    AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True, depth_reach=0.06),
+    AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True, depth_reach=0.03),
     AlignmentStage(2, FINE_PX, 6.0, 0.5, local_colors=True),
 )
 STAGES_AGAIN = (
@@ -88,6 +92,7 @@ def align(
     options: AlignOptions | None = None,
     *,
     measured: Collection[str] = (),
+    evidence: Evidence | None = None,
 ) -> Alignment:
     """Align a composed scene with its photograph.
 
@@ -99,6 +104,8 @@ def align(
         options: which unknowns are estimated, and which evidence is used.
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
             Their prior is narrower, but they still move if the contours clearly contradict them.
+        evidence: known camera, depth image and masks; its photograph is not used. The scene's
+            camera must have the known values.
 
     Returns:
         The aligned scene, with its camera and each object's uncertainty. If the scene has no
@@ -108,7 +115,8 @@ def align(
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
     o = options or AlignOptions()
-    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured))
+    known = evidence or Evidence()
+    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured), evidence=known)
 
 
 def align_again(
@@ -116,6 +124,8 @@ def align_again(
     photo: UInt8[np.ndarray, "row column 3"],
     only: Collection[str],
     options: AlignOptions | None = None,
+    *,
+    evidence: Evidence | None = None,
 ) -> Alignment:
     """Align some objects of an aligned scene once more; all others and the camera keep their poses.
 
@@ -124,6 +134,7 @@ def align_again(
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
         only: names of the objects that may move.
         options: as for `align`. Joints keep their positions.
+        evidence: depth image and masks.
 
     Returns:
         The alignment. Its uncertainties do not include that of the camera.
@@ -132,7 +143,7 @@ def align_again(
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
     o = (options or AlignOptions()).model_copy(update={"camera": False, "joints": False})
-    return _aligned(scene, photo, o, STAGES_AGAIN, only=only)
+    return _aligned(scene, photo, o, STAGES_AGAIN, only=only, evidence=evidence or Evidence())
 
 
 def _aligned(
@@ -141,6 +152,7 @@ def _aligned(
     o: AlignOptions,
     stages: Sequence[AlignmentStage],
     *,
+    evidence: Evidence,
     measured: frozenset[str] = frozenset(),
     only: Collection[str] | None = None,
 ) -> Alignment:
@@ -154,13 +166,14 @@ def _aligned(
             f"the photograph has {size} pixels, which is not the aspect ratio of the scene's "
             f"camera ({camera.width} x {camera.height_px})"
         )
-    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours, only=only)
+    rises = evidence.depth is not None
+    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours, only=only, rises=rises)
     if not len(unknowns.free):
         return Alignment(scene)
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
-    problem = _Problem(unknowns, o, measured, colliders)
+    problem = _Problem(unknowns, o, measured, colliders, evidence)
     try:
         return _solution(problem, photo, images, stages)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -179,7 +192,7 @@ def _solution(
     }
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
-    x = np.zeros(unknowns.size)
+    x = problem.start()
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:
@@ -222,10 +235,14 @@ class _Problem:
     measured: frozenset[str]
     colliders: SceneGeoms | None
     """Collision geoms of the scene; None if objects may overlap."""
+    evidence: Evidence = field(default_factory=Evidence)
+    """Known camera, depth image and masks."""
     misjudged: bool = True
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    without_depth: frozenset[int] = frozenset()
+    """Indices of the objects whose depth is ignored."""
     held: frozenset[int] = frozenset()
     """Indices of the open joints that keep their composed positions."""
 
@@ -233,6 +250,39 @@ class _Problem:
     def uses_edges(self) -> bool:
         """True if vertical edges are evidence about the camera."""
         return self.options.camera and self.options.contours and self.options.edges
+
+    def start(self) -> Float[np.ndarray, " u"]:
+        """Return initial values: the composed scene, or every object at its measured distance.
+
+        With metric depth, fixed supports locate the camera first. Objects follow, parents first.
+        """
+        unknowns, image = self.unknowns, self.evidence.depth
+        x = np.zeros(unknowns.size)
+        if image is None:
+            return x
+        first = self._depth_at(x)
+        if image.kind == "metric" and self.options.camera:
+            for reach in CAMERA_REACHES:
+                depth = self._depth_at(x)
+                prior = prior_precision(unknowns, depth.now, x, self.camera_deviations())
+                equations, neighbors = NormalEquations(unknowns, prior, x), unknowns.neighbors(x)
+                for k in set(range(len(unknowns.scene.objects))) - set(unknowns.free.tolist()):
+                    rows = depth.evidence(neighbors, k, reach)
+                    if rows is not None:
+                        equations.add_depth(k, rows)
+                x[:CAMERA] = equations.solved()[:CAMERA]
+        level = unknowns.arrangement.ancestors.sum(axis=1)
+        for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
+            place = measured_place(first, k)
+            if place is not None and not unknowns.in_wall[k].any():
+                x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
+        return x
+
+    def _depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
+        now = self.unknowns.place(x[None])[0]
+        drawn = self.unknowns.draw(now, COARSE_PX)
+        assert self.evidence.depth is not None
+        return SceneDepth.of(self.evidence.depth, self.evidence.masks, self.unknowns, now, drawn)
 
     def linearized(
         self,
@@ -252,14 +302,24 @@ class _Problem:
         unknowns = self.unknowns
         now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
         drawn = unknowns.draw(now, stage.width)
-        deviations = camera_deviations(self.measured, misjudged=self.misjudged)
-        if not self.options.camera:
-            deviations = np.full(CAMERA, 1e-9)
-        equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)
+        depth = None
+        if self.evidence.depth is not None:
+            depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
+        equations = NormalEquations(
+            unknowns,
+            prior_precision(unknowns, now, x, self.camera_deviations()),
+            x,
+            global_count=0 if depth is None else depth.global_count,
+        )
         if self.edges is not None:
             equations.add_camera(*linearized_edges(self.edges, unknowns, x))
         if self.colliders is not None:
             equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
+        if depth is not None:
+            for k in range(len(unknowns.scene.objects)):
+                rows = depth.evidence(neighbors, k, stage.depth_reach)
+                if rows is not None and k not in self.without_depth:
+                    equations.add_depth(k, rows)
         for k in unknowns.free.tolist():
             box = box_evidence(unknowns, now, neighbors, drawn, k)
             if box is not None:
@@ -280,6 +340,13 @@ class _Problem:
             if contour is not None:
                 equations.add_contour(k, contour)
         return equations, drawn
+
+    def camera_deviations(self) -> Float[np.ndarray, " 4"]:
+        """Return the prior standard deviations of the camera's unknowns."""
+        if not self.options.camera:
+            return np.full(CAMERA, 1e-9)
+        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        return camera_deviations(self.measured, known, misjudged=self.misjudged)
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
         """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
@@ -357,7 +424,7 @@ def _result(
     objects, items = {}, list(scene.objects)
     for k in unknowns.free.tolist():
         entries = x[unknowns.columns(k)]
-        evidence: Evidence = "box" if k in equations.with_box else "none"
+        evidence: EvidenceKind = "box" if k in equations.with_box else "none"
         if k in equations.with_contour:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)

@@ -8,7 +8,7 @@ are far off. So is that of the camera's pitch, which vertical edges can contradi
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
 NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
 """Changes of the camera's angles [deg] and height (relative) above which a note reports them."""
 
-Evidence = Literal["pixels", "box", "none"]
+EvidenceKind = Literal["pixels", "box", "none"]
 """Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
 
 
@@ -60,7 +60,7 @@ class JointAlignment:
 class ObjectAlignment:
     """Change of one object by the alignment."""
 
-    evidence: Evidence
+    evidence: EvidenceKind
     reason: str
     """Reason why contours do not determine the object's pose; empty if they do."""
     shift_m: tuple[float, float]
@@ -246,22 +246,31 @@ the opening from a ratio of two lengths in the image."""
 RANGE = 0.26
 """Standard deviation of the log range of a joint in a program. The parsed opening is a share of
 this range."""
+RISE_M, LEVEL_M = 0.003, 1e-6
+"""Standard deviation of the height above a support, if the height is unknown, and of an object that
+is attached to a wall, whose height is another unknown [m]."""
 LEAST_CLEARANCE_M = 0.005
 """Least standard deviation of the position of an object in a container [m]."""
 
 
-def camera_deviations(measured: Collection[str], *, misjudged: bool) -> Float[np.ndarray, " 4"]:
+def camera_deviations(
+    measured: Collection[str], known: Mapping[str, float], *, misjudged: bool
+) -> Float[np.ndarray, " 4"]:
     """Return the standard deviations of pitch and roll [rad], log focal length and log height.
 
     Args:
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
+        known: standard deviations of known parameters, as `KnownCamera.deviations`.
         misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
     deviations = np.array(
         [PITCH, ROLL, LOG_FOCAL_MISJUDGED if misjudged else LOG_FOCAL, LOG_HEIGHT]
     )
-    return deviations * [MEASURED if name in measured else 1.0 for name in names]
+    deviations *= [MEASURED if name in measured else 1.0 for name in names]
+    known_names = ("pitch", "roll", "focal", "height")
+    pairs = zip(known_names, deviations.tolist(), strict=True)
+    return np.array([known.get(name, deviation) for name, deviation in pairs])
 
 
 def is_misjudged(log_focal: float, deviation: float) -> bool:
@@ -330,6 +339,10 @@ def prior_precision(
     for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
         spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
         precision[u, u] = 1 / spread
+    for k in unknowns.free.tolist():
+        deviation = LEVEL_M if unknowns.in_wall[k].any() else RISE_M
+        for u in unknowns.rise_columns(k):
+            precision[u, u] = 1 / (deviation**2 + x[u] ** 2 / FREEDOM)
     return precision
 
 
