@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -34,9 +35,10 @@ from .alignment import (
 from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
-from .depth_rows import CAMERA_REACHES, SceneDepth, measured_place, moved_to
+from .depth_rows import CAMERA_REACHES, SceneDepth
+from .depth_start import moved_to, place_by_depth, with_measured_supports
 from .image_lines import VerticalEdges
-from .normal_equations import NormalEquations, box_evidence, contour_evidence
+from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
@@ -167,9 +169,17 @@ def _aligned(
             f"camera ({camera.width} x {camera.height_px})"
         )
     rises = evidence.depth is not None
-    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours, only=only, rises=rises)
+    make = partial(
+        Unknowns.of, camera=camera, joints=o.joints and o.contours, only=only, rises=rises
+    )
+    unknowns = make(scene)
     if not len(unknowns.free):
         return Alignment(scene)
+    if rises:
+        rough = _Problem(unknowns, o, measured, None, evidence)
+        x = np.zeros(unknowns.size)
+        x[:CAMERA] = rough.camera_by_supports(x)
+        unknowns = make(with_measured_supports(scene, rough.depth_at(x)))
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
@@ -193,6 +203,8 @@ def _solution(
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = problem.start()
+    if problem.evidence.depth is not None:
+        problem = replace(problem, mean=problem.prior_mean(x))
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:
@@ -209,12 +221,21 @@ def _solution(
     last = stages[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
-    refused = problem.refused(equations, drawn, images[last.width].bins)
-    if refused:
-        reasons |= dict.fromkeys(refused, "its colors do not distinguish it from its surroundings")
-        reset = equations.solved(without=refused)
+    contradicted: frozenset[int] = frozenset()
+    sources: tuple[Source, ...] = ("contour", "depth")
+    for source in sources if problem.evidence.depth is not None else sources[:1]:
+        refused = problem.refused(equations, drawn, images[last.width].bins, source)
+        if not refused:
+            continue
+        if source == "contour":
+            reason = "its colors do not distinguish it from its surroundings"
+            reasons |= dict.fromkeys(refused, reason)
+        else:
+            contradicted = frozenset(refused)
+            problem = replace(problem, without_depth=contradicted)
+        reset = equations.solved(without=refused, source=source)
         for k in refused:
-            own = [*range(*unknowns.columns(k).indices(unknowns.size)), *unknowns.joint_columns(k)]
+            own = unknowns.own_columns(k)
             x[own] = reset[own]
         for _ in range(last.steps):
             equations, drawn = problem.linearized(x, images[last.width], last, reasons)
@@ -241,6 +262,8 @@ class _Problem:
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    mean: Float[np.ndarray, " u"] | None = None
+    """Mean of the prior; None if it is the composed scene."""
     without_depth: frozenset[int] = frozenset()
     """Indices of the objects whose depth is ignored."""
     held: frozenset[int] = frozenset()
@@ -260,25 +283,42 @@ class _Problem:
         x = np.zeros(unknowns.size)
         if image is None:
             return x
-        first = self._depth_at(x)
-        if image.kind == "metric" and self.options.camera:
-            for reach in CAMERA_REACHES:
-                depth = self._depth_at(x)
-                prior = prior_precision(unknowns, depth.now, x, self.camera_deviations())
-                equations, neighbors = NormalEquations(unknowns, prior, x), unknowns.neighbors(x)
-                for k in set(range(len(unknowns.scene.objects))) - set(unknowns.free.tolist()):
-                    rows = depth.evidence(neighbors, k, reach)
-                    if rows is not None:
-                        equations.add_depth(k, rows)
-                x[:CAMERA] = equations.solved()[:CAMERA]
+        first = self.depth_at(x)
+        x[:CAMERA] = self.camera_by_supports(x)
         level = unknowns.arrangement.ancestors.sum(axis=1)
         for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
-            place = measured_place(first, k)
+            place = place_by_depth(first, k)
             if place is not None and not unknowns.in_wall[k].any():
                 x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
         return x
 
-    def _depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
+    def prior_mean(self, start: Float[np.ndarray, " u"]) -> Float[np.ndarray, " u"]:
+        """Return the mean of the prior: measured places of objects, and the composed camera."""
+        mean = start.copy()
+        mean[:CAMERA] = 0.0
+        return mean
+
+    def camera_by_supports(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " 4"]:
+        """Return the camera's unknowns by the depth of fixed supports; as in `x` without metric
+        depth.
+        """
+        unknowns, image = self.unknowns, self.evidence.depth
+        if image is None or image.kind != "metric" or not self.options.camera:
+            return x[:CAMERA]
+        x = x.copy()
+        for reach in CAMERA_REACHES:
+            depth = self.depth_at(x)
+            prior = prior_precision(unknowns, depth.now, x, self.camera_deviations())
+            equations, neighbors = NormalEquations(unknowns, prior, x), unknowns.neighbors(x)
+            for k in set(range(len(unknowns.scene.objects))) - set(unknowns.free.tolist()):
+                rows = depth.evidence(neighbors, k, reach)
+                if rows is not None:
+                    equations.add_depth(k, rows)
+            x[:CAMERA] = equations.solved()[:CAMERA]
+        return x[:CAMERA]
+
+    def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
+        """Return the measured depth of the scene rendered at `x`."""
         now = self.unknowns.place(x[None])[0]
         drawn = self.unknowns.draw(now, COARSE_PX)
         assert self.evidence.depth is not None
@@ -307,8 +347,11 @@ class _Problem:
             depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
         equations = NormalEquations(
             unknowns,
-            prior_precision(unknowns, now, x, self.camera_deviations()),
+            prior_precision(
+                unknowns, now, x if self.mean is None else x - self.mean, self.camera_deviations()
+            ),
             x,
+            mean=self.mean,
             global_count=0 if depth is None else depth.global_count,
         )
         if self.edges is not None:
@@ -394,17 +437,24 @@ class _Problem:
         equations: NormalEquations,
         drawn: DrawnObjects,
         bins: Int[np.ndarray, "row column"],
+        source: Source = "contour",
     ) -> tuple[int, ...]:
-        """Return the objects that fit the photograph less well with their contours than without."""
+        """Return the objects whose colors contradict the evidence of a source.
+
+        They fit the photograph less well with this evidence than without.
+        """
         unknowns = self.unknowns
         held = self.as_composed(equations)
         now = unknowns.place(equations.solved(held=held)[None])[0]
         refused = []
-        for k in equations.with_contour:
+        used = equations.with_contour if source == "contour" else equations.with_depth
+        for k in (k for k in used if k in unknowns.free):
             still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
-            other = unknowns.place(equations.solved(without=(k,), held=still)[None])[0]
-            with_contour, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            if not is_supported(with_contour, without, bins):
+            other = unknowns.place(equations.solved(without=(k,), held=still, source=source)[None])[
+                0
+            ]
+            with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
+            if not is_supported(with_it, without, bins):
                 refused.append(k)
         return tuple(refused)
 

@@ -249,6 +249,9 @@ this range."""
 RISE_M, LEVEL_M = 0.003, 1e-6
 """Standard deviation of the height above a support, if the height is unknown, and of an object that
 is attached to a wall, whose height is another unknown [m]."""
+TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
+"""Changes of a log size and of a height above a support up to which a t distribution has heavy
+tails, if there is a depth image."""
 LEAST_CLEARANCE_M = 0.005
 """Least standard deviation of the position of an object in a container [m]."""
 
@@ -306,7 +309,7 @@ def prior_precision(
     Args:
         unknowns: the unknowns.
         now: the placement at `x`.
-        x: values of the unknowns.
+        x: values of the unknowns, relative to the prior's mean.
         deviations: standard deviations of the camera's unknowns.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
@@ -334,7 +337,9 @@ def prior_precision(
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
         for column, deviation in ((2, yaw), (3, LOG_SIZE)):
-            spread = deviation**2 + entries[column] ** 2 / FREEDOM
+            # A depth image shows how large an object is, so no size is far from its start.
+            tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
+            spread = deviation**2 + tail**2 / FREEDOM
             precision[first + column, first + column] = 1 / spread
     for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
         spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
@@ -342,7 +347,7 @@ def prior_precision(
     for k in unknowns.free.tolist():
         deviation = LEVEL_M if unknowns.in_wall[k].any() else RISE_M
         for u in unknowns.rise_columns(k):
-            precision[u, u] = 1 / (deviation**2 + x[u] ** 2 / FREEDOM)
+            precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
     return precision
 
 

@@ -28,14 +28,20 @@ MARGIN_PX, REFERENCE_PX = 3.0, 640.0
 outline is uncertain, and sensors mix the two depths there."""
 LEAST_PIXELS, MOST_PIXELS = 20, 400
 """Numbers of pixels of an object that are needed, and that are used."""
+CAMERA_REACHES = (0.25, 0.12, 0.06, 0.03, 0.02)
+"""Reach of each Gauss-Newton step in which fixed supports alone locate the camera [m]."""
 OBSERVATIONS, SMOOTH_OBSERVATIONS = 30, 2
 """Numbers of independent observations of an object: of a sensor, and of a depth image with smooth
 errors."""
 SHAPE, LARGEST_M, LEAST_M = 0.02, 0.5, 0.002
 """Standard deviation of a surface: relative to the size of its object up to LARGEST_M [m], and a
 constant [m]."""
-SUPPORT_M = 0.002
-"""Standard deviation of the surface of a fixed support [m]."""
+SUPPORT_M, SUPPORT = 0.002, 0.02
+"""Standard deviation of the height of a fixed support: a constant [m], and a share of its height
+above z = 0."""
+UPWARD = 0.8
+"""Least vertical component of the normal of a fixed support's surface that is evidence. Positions
+of walls are guesses."""
 OUTLYING = 3.0
 """Residual at which the weight of a pixel is quartered, in standard deviations, if it exceeds the
 reach of the stage."""
@@ -192,14 +198,32 @@ class SceneDepth:
         body = drawn.owner if drawn.body is None else drawn.body
         return surface_normals(self.rays * depth[..., None], body)
 
+    def drawn_points(self, mask: Bool[np.ndarray, "row column"]) -> Float[np.ndarray, "n 3"]:
+        """Return the rendered points at some pixels, in the camera's frame [m]."""
+        return self.rays[mask] * self.drawn.depth[mask][:, None]
+
+    def shown(self, k: int) -> Bool[np.ndarray, "row column"]:
+        """Return the pixels that show an object in the rendering and in its mask, if it has one."""
+        shown = self.drawn.owner == k
+        return shown & self.masks[k] if k in self.masks else shown
+
+    def box(self, k: int) -> Float[np.ndarray, " 4"] | None:
+        """Return the 2D box of an object in pixels of the rendering, or None if it has none."""
+        box = self.unknowns.scene.objects[k].box2d
+        if box is None:
+            return None
+        return np.array(box.as_tuple()) * self.drawn.owner.shape[1] / self.now.camera.width
+
     def pixels(self, k: int) -> DepthPixels | None:
         """Return the pixels of an object whose depth is measured; None if there are too few."""
-        shown = self.drawn.owner == k
-        if k in self.masks:
-            shown &= self.masks[k]
+        shown = self.shown(k)
         if shown.sum() < LEAST_PIXELS:
             return None
-        row, column = np.nonzero(eroded(shown) & self.usable)
+        usable = self.usable
+        if k not in self.unknowns.free:
+            up = self.now.camera.axes()[2]
+            usable = usable & (np.abs(self.normals @ up) > UPWARD)
+        row, column = np.nonzero(eroded(shown) & usable)
         if len(row) < LEAST_PIXELS:
             return None
         pick = np.linspace(0, len(row) - 1, min(MOST_PIXELS, len(row))).astype(int)
@@ -235,7 +259,7 @@ class SceneDepth:
         jacobian = value_jacobian(
             unknowns, now, neighbors, k, local, along, None if whole else body
         )
-        deviation = self._deviation(k, depth)
+        deviation = self._deviation(k, depth, world[:, 2])
         count = SMOOTH_OBSERVATIONS if self.image.smooth_sd else OBSERVATIONS
         independent = min(1.0, count / len(residual))
         robust = 1 / (1 + (residual / np.maximum(reach, OUTLYING * deviation)) ** 2) ** 2
@@ -248,13 +272,21 @@ class SceneDepth:
             extra = -self.measured.derivative[row, column] * slope[:, None]
         return LinearEvidence(jacobian, residual, weight, extra)
 
-    def _deviation(self, k: int, depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return the standard deviations of an object's residuals [m]."""
-        surface = SUPPORT_M
+    def _deviation(
+        self, k: int, depth: Float[np.ndarray, " n"], height: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """Return the standard deviations of the residuals of an object's points [m].
+
+        Args:
+            k: index of the object.
+            depth: depth of each point along the view [m].
+            height: height of each point above z = 0 [m].
+        """
+        surface = np.hypot(SUPPORT_M, SUPPORT * height)
         if k in self.unknowns.free:
             vertices = self.unknowns.vertices(k)[0]
             size = float(np.ptp(vertices, axis=0).max()) * float(self.now.scale[k])
-            surface = math.hypot(SHAPE * min(size, LARGEST_M), LEAST_M)
+            surface = np.full_like(depth, math.hypot(SHAPE * min(size, LARGEST_M), LEAST_M))
         smooth = self.image.smooth_sd * depth
         return np.sqrt(sensor_sd(depth) ** 2 + smooth**2 + surface**2)
 
@@ -268,65 +300,3 @@ def object_masks(
     resized = masks.resized(height, width)
     found = {k: resized.of(name) for k, name in enumerate(names)}
     return {k: mask for k, mask in found.items() if mask is not None and mask.any()}
-
-
-CAMERA_REACHES = (0.25, 0.12, 0.06, 0.03, 0.02)
-"""Reach of each Gauss-Newton step in which fixed supports alone locate the camera [m]."""
-AGREEING = 0.5
-"""Least share of an object's pixels that must agree on its distance."""
-
-
-class MeasuredPlace(NamedTuple):
-    """Place of an object by its measured depth, with the outline that it is drawn with."""
-
-    origin: Float[np.ndarray, " 3"]
-    """In the camera's frame [m]."""
-    ratio: float
-    """Measured distance over that in the rendering, and so the factor of the object's size."""
-
-
-def measured_place(depth: SceneDepth, k: int) -> MeasuredPlace | None:
-    """Return the place of an object by the median ratio of its measured to its rendered depths.
-
-    Args:
-        depth: depth of the rendered scene.
-        k: index of the object.
-
-    Returns:
-        The place; None if too few pixels are measured, or if they do not agree.
-    """
-    shown = depth.drawn.owner == k
-    if k in depth.masks:
-        shown &= depth.masks[k]
-    if shown.sum() < LEAST_PIXELS:
-        return None
-    used = eroded(shown) & np.isfinite(depth.measured.depth)
-    if used.sum() < LEAST_PIXELS:
-        return None
-    now, unknowns = depth.now, depth.unknowns
-    ratios = (depth.measured.depth / depth.drawn.depth)[used]
-    ratio = float(np.median(ratios))
-    near = float(np.median(depth.drawn.depth[used]))
-    size = float(np.ptp(unknowns.vertices(k)[0], axis=0).max()) * float(now.scale[k])
-    if np.mean(np.abs(ratios - ratio) * near < size / 2) < AGREEING:
-        return None
-    origin = (now.pos[k] - now.camera.position()) @ now.camera.axes()
-    return MeasuredPlace(ratio * origin, ratio)
-
-
-def moved_to(
-    unknowns: Unknowns, place: MeasuredPlace, k: int, x: Float[np.ndarray, " u"]
-) -> Float[np.ndarray, " 4"]:
-    """Return the unknowns with which an object is at a measured place, at its supported height.
-
-    Args:
-        unknowns: the unknowns.
-        place: the place.
-        k: index of the object.
-        x: values of the unknowns, with those of the camera and of the object's supports.
-    """
-    now, values = unknowns.place(x[None])[0], x[unknowns.columns(k)].copy()
-    target = now.camera.position() + now.camera.axes() @ place.origin
-    values[:2] += unknowns.in_support_frame(k, (target - now.pos[k])[:2])
-    values[3] += math.log(place.ratio)
-    return values

@@ -250,6 +250,11 @@ class Unknowns:
         joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
         return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
 
+    def own_columns(self, k: int) -> list[int]:
+        """Return the indices of all unknowns of a free object."""
+        pose = range(*self.columns(k).indices(self.size))
+        return [*pose, *self.joint_columns(k), *self.rise_columns(k)]
+
     def is_size(self, u: int) -> bool:
         """Return whether an unknown is the size of an object."""
         return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
@@ -388,10 +393,17 @@ class Unknowns:
         return vectors @ np.array([[c, -s], [s, c]])
 
     def columns_of(self, k: int) -> list[int]:
-        """Return the indices of the unknowns of an object and of all its supports."""
+        """Return the indices of the unknowns of an object and of all its supports.
+
+        If heights above supports are unknown, the sizes of the supports are omitted: otherwise a
+        support would grow to raise an object.
+        """
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
         places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
+        if self.rises:
+            own = self.columns(k).stop - 1 if k in self.free else -1
+            places = [u for u in places if u == own or not self.is_size(u)]
         return places + [
             u
             for other in above.tolist()
