@@ -11,11 +11,12 @@ from ..errors import ConfigError
 from ..names import Step
 from ..quantities import count
 from .base_command import Command, CommandResult, ConfiguredCommand
+from .evidence_flags import EvidenceFlags
 from .result_lines import DETAILS, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReconstructCommand(ConfiguredCommand):
+class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     """Reconstruct a simulation-ready scene from a photograph."""
 
     photo: Positional[Path]
@@ -67,6 +68,7 @@ class ReconstructCommand(ConfiguredCommand):
             record=self.record,
             mailbox=self.mailbox,
             tapes=self.tape,
+            evidence=self.stated(),
         )
         return result.summary()
 

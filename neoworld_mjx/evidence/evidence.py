@@ -7,6 +7,7 @@ from jaxtyping import UInt8
 
 from .depth_image import DepthImage
 from .known_camera import KnownCamera
+from .lens import Lens
 from .masks import Masks
 
 PhotoPixels = UInt8[np.ndarray, "row column 3"]
@@ -25,6 +26,9 @@ class Evidence:
     """Depth image of the photograph's view; used only with a photograph."""
     masks: Masks | None = None
     """Masks of the objects in the photograph."""
+    lens: Lens | None = None
+    """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
+    describes the undistorted image."""
     boxes: bool = True
     """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
     own. The tree is then not fitted to them."""

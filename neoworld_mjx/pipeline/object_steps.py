@@ -37,13 +37,16 @@ def parse_photo(context: StepContext) -> None:
     """
     from ..parse.parse import parse
     from ..render import to_png
+    from .given_evidence import kept_evidence
 
     run, options = context.run, context.config.parse
     photo, models = context.photo_and_models()
-    with run.step("parse", {"photo": photo.sha256, "options": options}) as out:
+    inputs = {"photo": photo.sha256, "options": options, **context.evidence}
+    with run.step("parse", inputs) as out:
         if out is None:
             return
-        parsed = run_coroutine(parse(photo, models, options))
+        known = kept_evidence(run).camera
+        parsed = run_coroutine(parse(photo, models, options, known=known))
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
         (out / RESPONSE_TREE).parent.mkdir(parents=True)
         (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")

@@ -13,8 +13,12 @@ from jaxtyping import UInt8
 from ..config import Config
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
+from ..evidence.camera_files import read_camera
+from ..evidence.evidence import Evidence
+from ..evidence.evidence_file import undistorted
+from ..evidence.file_camera import FileCamera, check_pose
 from ..export.importing import ImportedScene, import_file
-from ..export.read_mesh_scene import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
+from ..export.read_mesh_scene import CAMERA_HELP, Viewpoint, viewpoint
 from ..io import bounded_by
 from ..measure import object_moves
 from ..parse.photo import load_photo
@@ -24,7 +28,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import transformed_scene
 from .mesh_tree import MeshTree, mesh_tree
-from .place import Evidence, LayoutEstimate, RefinedPlacement, place, refine_placed
+from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, TREE
 
@@ -34,7 +38,7 @@ class Photographed:
     """The photograph of a given scene."""
 
     rgb: UInt8[np.ndarray, "row column 3"] = field(repr=False)
-    """Colors (sRGB), cropped to the image of the camera."""
+    """Colors (sRGB), undistorted to the image of the camera."""
     view: Viewpoint
 
 
@@ -118,7 +122,8 @@ def rescue_file(
         out: run folder, new or empty.
         config: options.
         photo: the photograph of the scene, with which its objects are aligned.
-        camera: camera.json of the photograph; by default, the camera in the scene's file.
+        camera: file with the camera of the photograph, as `evidence.camera_files` reads it; by
+            default, the camera in the scene's file.
 
     Raises:
         SpecError: a file cannot be read, or no object is free to move.
@@ -136,7 +141,9 @@ def rescue_file(
             raise RunError(f"{file} contains one object; rescue needs a scene")
         picture = None
         if photo is not None:
-            stated = None if camera is None else read_camera(camera)
+            stated = None if camera is None else read_camera(camera, photo.name)
+            if camera is not None and stated is not None and stated.pose is not None:
+                check_pose(stated, camera.name)
             picture = photographed(photo, imported.camera, stated, c.parse.max_side_px)
         meshes, c = _meshes(imported, picture), _config(c, picture)
         notes = [*imported.notes, *meshes.notes]
@@ -163,20 +170,17 @@ def photographed(
         max_side_px: longest side to which the picture is reduced [px].
 
     Raises:
-        PhotoError: the file is not a picture, or the camera is incomplete or does not match the
-            photograph.
+        EvidenceError: the camera does not match the photograph.
+        PhotoError: the file is not a picture, or the camera is incomplete.
     """
     if stated is None and camera is None:
         raise PhotoError(f"{file}: the scene's file states no camera: {CAMERA_HELP}")
     full = (camera or FileCamera()).completed_by(stated)
     read = load_photo(file, max_side_px)
-    width, height = read.original_size
-    view = viewpoint(full, width, height)
-    scale = read.scale
-    left, top = round(scale * view.left), round(scale * view.top)
-    right = left + round(scale * view.camera.width)
-    bottom = top + round(scale * view.camera.height_px)
-    return Photographed(read.rgb[top:bottom, left:right], view)
+    view = viewpoint(full, *read.original_size)
+    rgb = undistorted(Evidence(photo=read.rgb, lens=view.lens)).photo
+    assert rgb is not None
+    return Photographed(rgb, view)
 
 
 def _meshes(imported: ImportedScene, photo: Photographed | None) -> MeshTree:

@@ -24,9 +24,10 @@ from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import PhotoError, RunError, SpecError
 from neoworld_mjx.estimate.alignment import Alignment
+from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import import_file
-from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
