@@ -24,7 +24,7 @@ from pydantic import ValidationError
 
 from ..errors import EvidenceError
 from ..io import read_arrays, read_json, read_untrusted_text
-from ..io.text_files import parse_yaml, validation_message
+from ..io.text_files import read_yaml, validation_message
 from .file_camera import FileCamera, Rows, rows_of
 
 POSE_HELP = (
@@ -108,10 +108,7 @@ def read_camera_file(path: Path, photo: str = "") -> CameraFile:
     if suffix == ".json":
         value = read_json(path, EvidenceError, "camera")
     elif suffix in (".yaml", ".yml"):
-        try:
-            value = parse_yaml(read_untrusted_text(path, EvidenceError, "camera"))
-        except ValueError as error:
-            raise EvidenceError(f"{path} is not YAML: {error}") from None
+        value = read_yaml(path, "camera", EvidenceError)
     else:
         raise EvidenceError(
             f"{path}: a camera is a .json, .yaml, .npy or .txt file, or a folder of COLMAP"

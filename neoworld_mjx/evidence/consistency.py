@@ -142,23 +142,20 @@ def _check_registration(depth: DepthImage, rgb: PhotoPixels) -> None:
         return
     raise EvidenceError(
         f"{depth.source}: its edges are not those of the photograph: "
-        f"{_shift_phrase(given) if shifted else _flip_phrase(depth, photo)}. If it is right, give "
-        "check: false in the evidence file"
+        f"{_cause(depth, photo, given, shifted=shifted)}. If it is right, give check: false in the "
+        "evidence file"
     )
 
 
-def _shift_phrase(given: _Registration) -> str:
-    right, down = (shift * 100 / WIDTH for shift in given.best)
-    sides = f"{abs(right):.0f} % {'right' if right > 0 else 'left'}"
-    sides += f" and {abs(down):.0f} % {'down' if down > 0 else 'up'}"
-    return (
-        f"they fit if it is moved {sides} (of the width), so it is not registered; align the "
-        "sensor's depth with its color image, or give the sensor's camera and to_photo"
-    )
+def _cause(depth: DepthImage, photo: NDArray, given: _Registration, *, shifted: bool) -> str:
+    """Return the flip or the shift that makes the edges those of the photograph, if there is one.
 
-
-def _flip_phrase(depth: DepthImage, photo: NDArray) -> str:
-    """Return the flip that makes the edges of a depth image those of the photograph, if any."""
+    Args:
+        depth: the depth image.
+        photo: edges of the photograph.
+        given: scores of the shifts of the depth image.
+        shifted: True if one of them stands out.
+    """
     backward, all_ = slice(None, None, -1), slice(None)
     flips = {
         "it is mirrored: flip it from left to right": (all_, backward),
@@ -168,15 +165,24 @@ def _flip_phrase(depth: DepthImage, photo: NDArray) -> str:
     for cause, flip in flips.items():
         flipped = DepthImage(depth.values[flip], depth.kind)
         other = _registration(photo, _depth_edges(flipped, len(photo)))
-        if other is not None and other.score > CLEAR_SCORE and other.sigma > CLEAR_SIGMA:
+        clear = other is not None and other.score > CLEAR_SCORE and other.sigma > CLEAR_SIGMA
+        if other is not None and clear and not (shifted and given.best_score > other.score):
             return cause
+    if not shifted:
+        return (
+            "it is of another photograph, or of a sensor beside the camera (give its camera and "
+            "to_photo)"
+        )
+    right, down = (shift * 100 / WIDTH for shift in given.best)
+    sides = f"{abs(right):.0f} % {'right' if right > 0 else 'left'}"
+    sides += f" and {abs(down):.0f} % {'down' if down > 0 else 'up'}"
     return (
-        "it is of another photograph, or of a sensor beside the camera (give its camera and "
-        "to_photo)"
+        f"they fit if it is moved {sides} (of the width), so it is not registered; align the "
+        "sensor's depth with its color image, or give the sensor's camera and to_photo"
     )
 
 
-def _photo_edges(rgb: PhotoPixels) -> Float[np.ndarray, "row column"]:
+def _photo_edges(rgb: PhotoPixels) -> Float[np.ndarray, "cell_row cell_column"]:
     """Return the largest gradient of the photograph in each cell of an image WIDTH wide."""
     from scipy.ndimage import gaussian_filter
 
@@ -191,7 +197,7 @@ def _photo_edges(rgb: PhotoPixels) -> Float[np.ndarray, "row column"]:
     return np.minimum(cells, np.quantile(cells, 0.95))
 
 
-def _depth_edges(depth: DepthImage, rows: int) -> Float[np.ndarray, "row column"]:
+def _depth_edges(depth: DepthImage, rows: int) -> Float[np.ndarray, "cell_row cell_column"]:
     """Return 1 in each cell of an image WIDTH wide with a step of the depth, elsewhere 0."""
     from scipy.ndimage import maximum_filter, minimum_filter
 

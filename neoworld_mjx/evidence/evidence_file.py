@@ -7,8 +7,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from ..errors import EvidenceError
-from ..io import read_untrusted_text
-from ..io.text_files import parse_yaml, validation_message
+from ..io.text_files import read_yaml, validation_message
 from ..spec import Spec
 from ..spec.base import Number, Vec3
 from .camera_files import camera_of_value, read_base, read_camera
@@ -80,13 +79,10 @@ def read_stated(path: Path) -> StatedEvidence:
     """
     path = Path(path)
     try:
-        value = parse_yaml(read_untrusted_text(path, EvidenceError, "evidence"))
-        stated = StatedEvidence.model_validate(value)
+        stated = StatedEvidence.model_validate(read_yaml(path, "evidence", EvidenceError))
     except ValidationError as error:
         reason = validation_message(error, StatedEvidence)[:600]
         raise EvidenceError(f"{path} is no evidence file: {reason}") from None
-    except ValueError as error:
-        raise EvidenceError(f"{path} is not YAML: {error}") from None
     return _moved(stated, path.parent)
 
 

@@ -26,8 +26,8 @@ LEVEL_BASE = math.radians(2.0)
 """Largest angle between z of a base frame and a measured vertical [rad]."""
 ASPECT = 0.01
 """Largest relative difference between aspect ratios of pictures of one view."""
-SHAPES = (4 / 3, 3 / 2, 16 / 9, 16 / 10, 5 / 4, 1.0, 3 / 4, 2 / 3, 9 / 16, 10 / 16, 4 / 5)
-"""Aspect ratios of cameras."""
+SHAPES = (4 / 3, 3 / 2, 16 / 9, 16 / 10, 5 / 4)
+"""Aspect ratios of cameras, of the longer to the shorter side."""
 SQUARE = 0.05
 """Relative difference between fx and fy above which a picture must have been stretched."""
 
@@ -283,7 +283,8 @@ def _check_lens(lens: Lens, stated: FileCamera, source: str) -> None:
     if abs(fx / fy - 1) <= SQUARE:
         return
     # Square pixels of a sensor with the shape of a camera, in a picture that was stretched.
-    shaped = lambda ratio: min(abs(ratio / shape - 1) for shape in SHAPES) < 0.02
+    sides = ([1] if width >= height else []) + ([-1] if width <= height else [])
+    shaped = lambda ratio: any(abs(ratio**k / s - 1) < 0.02 for s in SHAPES for k in sides)
     if shaped(width * fy / (height * fx)):
         return
     swapped = shaped(width * fx / (height * fy))

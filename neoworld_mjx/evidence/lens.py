@@ -21,8 +21,9 @@ LensModel = Literal["brown_conrady", "fisheye"]
 """
 COEFFICIENTS: dict[str, int] = {"brown_conrady": 8, "fisheye": 4}
 """Largest number of coefficients of each model."""
-MAX_SHIFT_PX = 0.5
-"""Largest displacement that a pinhole camera with square pixels may neglect [px]."""
+MAX_SHIFT = 0.001
+"""Largest displacement that a pinhole camera with square pixels may neglect, relative to the longer
+side of the image."""
 LEAST_ZOOM = 0.5
 """Least focal length of an undistorted picture, relative to that of the lens at its middle."""
 _ITERATIONS = 30
@@ -125,12 +126,12 @@ def pinhole_of(lens: Lens) -> Pinhole:
 
 
 def is_pinhole(lens: Lens) -> bool:
-    """Return True if the lens's image is that of a pinhole camera within `MAX_SHIFT_PX`."""
+    """Return True if the lens's image is that of a pinhole camera within `MAX_SHIFT`."""
     focal = sum(lens.focal) / 2
     border = _border(lens.size)
     flat = (border - lens.center) / focal
     shown = lens.project(np.concatenate([flat, np.ones((len(flat), 1))], axis=-1))
-    return float(np.abs(shown - border).max()) <= MAX_SHIFT_PX
+    return float(np.abs(shown - border).max()) <= MAX_SHIFT * max(lens.size)
 
 
 def undistorted_image(

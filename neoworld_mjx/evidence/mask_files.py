@@ -154,7 +154,7 @@ def matched_to(masks: Masks, tree: SceneTree) -> tuple[Masks, tuple[str, ...]]:
         chosen = _assigned(masks, numbers, rest, tree)
         names |= chosen
         numbers = [number for number in numbers if number not in chosen.values()]
-    unmatched = [f"{given.get(n, 'mask')} ({n})" for n in numbers]
+    unmatched = [f"{given[n]} ({n})" if n in given else str(n) for n in numbers]
     notes = [f"no object of the scene has the mask {mask} of {masks.source}" for mask in unmatched]
     return replace(masks, names=names), tuple(notes)
 
@@ -182,7 +182,7 @@ def _assigned(
 
 def _box(mask: NDArray) -> list[float]:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return [columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]
+    return [float(n) for n in (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1)]
 
 
 def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]) -> Float[np.ndarray, "n m"]:

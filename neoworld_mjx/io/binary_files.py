@@ -41,7 +41,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
         raise error(f"cannot read {path}: {problem.strerror}") from None
     try:
         if data.startswith(npy.MAGIC_PREFIX):
-            return {"": _stream_array(io.BytesIO(data), str(path), len(data))}
+            return {"": _array(data, str(path))}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             declared = sum(member.file_size for member in members)
@@ -50,19 +50,18 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
                     f"{path} unpacks to {declared / MIB:.0f} MiB in {len(members)} arrays; the "
                     f"limit is {limit // MIB} MiB in {MAX_ARRAYS} arrays (files.max_file_mib)"
                 )
-            return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+            return {
+                m.filename.removesuffix(".npy"): _array(archive.read(m), m.filename)
+                for m in members
+            }
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,
             NotImplementedError, SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
         raise error(f"{path} holds no readable arrays: {problem}") from None
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
-    with archive.open(member) as stream:
-        return _stream_array(stream, member.filename, member.file_size)
-
-
-def _stream_array(stream: io.BufferedIOBase, name: str, total: int) -> NDArray:
-    """Read an array in the format .npy from a stream of `total` bytes."""
+def _array(data: bytes, name: str) -> NDArray:
+    """Return the array of a file in the format .npy."""
+    stream = io.BytesIO(data)
     version = npy.read_magic(stream)  # pyright: ignore[reportArgumentType]
     headers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
     if version not in headers:
@@ -72,7 +71,7 @@ def _stream_array(stream: io.BufferedIOBase, name: str, total: int) -> NDArray:
         raise ValueError(f"{name} holds Python objects")
     if len(shape) > 32 or any(n < 0 for n in shape):
         raise ValueError(f"{name} has the invalid shape {shape}")
-    size, available = prod(shape) * dtype.itemsize, total - stream.tell()
+    size, available = prod(shape) * dtype.itemsize, len(data) - stream.tell()
     if size > available:
         raise ValueError(f"{name} declares {size} bytes but has {available}")
     array = np.frombuffer(stream.read(size), dtype, prod(shape)).copy()

@@ -22,7 +22,7 @@ from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import PhotoError, RunError, SpecError
+from neoworld_mjx.errors import EvidenceError, PhotoError, RunError, SpecError
 from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.evidence import Evidence
@@ -292,7 +292,7 @@ def test_wrong_cameras_of_a_photograph_give_one_message(
     file = tmp_path / "camera.json"
     if camera is not None:
         file.write_text(json.dumps(camera))
-    with pytest.raises((PhotoError, SpecError), match=message):
+    with pytest.raises((EvidenceError, PhotoError, SpecError), match=message):
         rescue_file(
             photographed_meshes,
             tmp_path / "out",
