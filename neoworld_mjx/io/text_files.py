@@ -209,8 +209,8 @@ def read_yaml(path: Path, kind: str, error: type[NeoWorldError] = ConfigError) -
         error: class of the error to raise.
 
     Raises:
-        NeoWorldError: of the class `error`: the file cannot be read, is larger than 256 KiB, or is not YAML of plain
-            values.
+        NeoWorldError: of the class `error`: the file cannot be read, is larger than 256 KiB, or is
+            not YAML of plain values.
     """
     try:
         return parse_yaml(read_text(Path(path), _MAX_BYTES))
