@@ -66,7 +66,7 @@ def test_confidence_of_levels_becomes_zero_to_one(tmp_path):
     read = read_depth(tmp_path / "depth.png", confidence=tmp_path / "confidence.png")
     assert set(np.unique(read.confidence)) == {0.0, 0.5, 1.0}
     Image.fromarray(levels[:100]).save(tmp_path / "confidence.png")
-    with pytest.raises(EvidenceError, match="confidence.png has 320 x 100 pixels"):
+    with pytest.raises(EvidenceError, match=r"confidence\.png has 320 x 100"):
         read_depth(tmp_path / "depth.png", confidence=tmp_path / "confidence.png")
 
 
@@ -93,7 +93,7 @@ def test_files_that_are_no_depth_image_give_one_message(tmp_path, name, write, m
 
 def test_flying_pixels_between_two_surfaces_are_removed_and_no_others():
     values = depth()
-    left, top, right, bottom = BOXES["green"]
+    left, top, _, bottom = BOXES["green"]
     edge = values[top:bottom, left - 1].copy()
     values[top:bottom, left - 1] = (edge + DEPTHS["green"]) / 2
     flying = flying_pixels(values)
