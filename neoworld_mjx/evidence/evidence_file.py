@@ -119,7 +119,7 @@ def evidence_of(
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
     """
-    camera, source = _camera(stated, photo)
+    camera, source = stated_camera(stated, photo)
     known, lens = (None, None) if camera is None else known_camera(camera, size, source)
     depth = None
     if stated.depth is not None:
@@ -136,8 +136,16 @@ def evidence_of(
     return evidence
 
 
-def _camera(stated: StatedEvidence, photo: str) -> tuple[FileCamera | None, str]:
-    """Return the stated camera, completed by base frame and gravity, and its source."""
+def stated_camera(stated: StatedEvidence, photo: str) -> tuple[FileCamera | None, str]:
+    """Return the stated camera, completed by base frame and gravity, and its source.
+
+    Args:
+        stated: the evidence.
+        photo: name of the photograph, which chooses among the images of a camera file.
+
+    Raises:
+        EvidenceError: a file cannot be read, or is no camera.
+    """
     camera, sources = None, []
     if stated.camera is not None:
         camera, source = _read(stated.camera, photo, base=False)

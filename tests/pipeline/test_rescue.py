@@ -26,6 +26,7 @@ from neoworld_mjx.errors import EvidenceError, PhotoError, RunError, SpecError
 from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
@@ -297,7 +298,7 @@ def test_wrong_cameras_of_a_photograph_give_one_message(
             photographed_meshes,
             tmp_path / "out",
             photo=tmp_path / "photo.png" if photo else None,
-            camera=None if camera is None else file,
+            evidence=None if camera is None else StatedEvidence(camera=str(file)),
         )
     assert not (tmp_path / "out").exists()
 
