@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import EvidenceError
+from ..spec import Camera
 from .depth_image import DepthImage
 from .evidence import Evidence, PhotoPixels
 from .known_camera import KnownCamera
@@ -24,6 +25,12 @@ FLAT = 1.02
 """Ratio of the far to the near depths up to which an image shows one flat surface."""
 MIN_KNOWN = 0.02
 """Least share of pixels with a depth."""
+GRID = (48, 64)
+"""Rows and columns of the pixels whose depths are compared with those of the ground."""
+LEVEL = 0.1
+"""Least slope of the lines of sight to the ground."""
+SCALE = 3.2
+"""Largest ratio of measured depths to those of the ground, and of the inverse."""
 WIDTH = 160
 """Width at which edges are compared [px]."""
 REACH = 24
@@ -63,6 +70,8 @@ def check_evidence(evidence: Evidence, rgb: PhotoPixels, *, edges: bool = True) 
         _check_masks(evidence.masks)
     if evidence.depth is not None:
         _check_depth(evidence.depth)
+        if evidence.camera is not None:
+            _check_scale(evidence.depth, evidence.camera)
         if edges:
             _check_registration(evidence.depth, rgb)
 
@@ -115,6 +124,34 @@ def _check_depth(depth: DepthImage) -> None:
         raise EvidenceError(
             f"{depth.source} is constant ({near:.3g} to {far:.3g} m): it shows a wall or a cover, "
             "and no object"
+        )
+
+
+def _check_scale(depth: DepthImage, camera: KnownCamera) -> None:
+    """Refuse depths that contradict the distance of a camera with a known pose from the ground."""
+    known = None not in (camera.focal, camera.pitch, camera.roll, camera.height)
+    if depth.kind != "metric" or not known:
+        return
+    width, height = camera.size
+    blank = Camera(width=width, height_px=height, fovy=1, height=1, pitch=0)
+    placed = camera.camera(blank)
+    rows, columns = GRID
+    values = depth.resized(rows, columns).values[rows // 2 :]
+    u, v = np.meshgrid(
+        (np.arange(columns) + 0.5) * width / columns,
+        (np.arange(rows // 2, rows) + 0.5) * height / rows,
+    )
+    rays = placed.rays(np.stack([u, v], axis=-1))
+    ahead = rays @ placed.axes()[:, 2]
+    seen = np.isfinite(values) & (rays[..., 2] < -LEVEL)
+    if seen.mean() < MIN_KNOWN:
+        return
+    ground = ahead[seen] * placed.height / -rays[..., 2][seen]
+    ratio = float(np.median(values[seen] / ground))
+    if not 1 / SCALE < ratio < SCALE:
+        raise EvidenceError(
+            f"{depth.source}: depths are {ratio:.2g} times those of the ground seen from "
+            f"{camera.height:.2f} m: give the scale in meters per unit, or correct ground"
         )
 
 

@@ -15,6 +15,8 @@ FOLDER = "evidence"
 """Folder of the evidence in a run."""
 PART = "parse/evidence"
 """Part of the step `parse` that keeps the evidence."""
+UNLIKE = 1.2
+"""Ratio of focal lengths from which on EXIF data contradict a calibration."""
 Given = Evidence | StatedEvidence | Path | str
 """Evidence as a caller gives it; a path is that of an evidence file."""
 
@@ -81,14 +83,21 @@ def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = Non
 def _with_exif(evidence: Evidence, photo: Photo) -> RunEvidence:
     """Add the focal length of the EXIF data if no other is known."""
     camera = evidence.camera
-    if camera is not None and camera.focal is not None:
-        return RunEvidence(evidence)
     try:
         exif = exif_camera(photo.path, photo.original_size)
     except EvidenceError as error:
         return RunEvidence(evidence, (str(error),))
-    if exif is None:
+    if exif is None or exif.focal is None:
         return RunEvidence(evidence)
+    if camera is not None and camera.focal is not None:
+        ratio = exif.focal / camera.focal
+        if 1 / UNLIKE < ratio < UNLIKE:
+            return RunEvidence(evidence)
+        reason = (
+            f"{exif.source} makes the focal length {ratio:.2f} times that of {camera.source}, "
+            "which is used"
+        )
+        return RunEvidence(evidence, (reason,))
     if camera is not None:
         sources = f"{camera.source}; {exif.source}"
         exif = replace(camera, focal=exif.focal, focal_sd=exif.focal_sd, source=sources)

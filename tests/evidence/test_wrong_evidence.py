@@ -76,6 +76,14 @@ def test_meters_as_millimeters(tmp_path):
     refused({"depth": stated}, "its values are meters already: give scale: 1")
 
 
+def test_depths_that_contradict_the_height_of_the_camera(tmp_path):
+    lens = LENS | {"pose": pose().tolist(), "ground": 0.0}
+    units = np.nan_to_num(10_000 * depth()).astype(np.uint16)
+    stated = {"file": written(tmp_path, "depth.png", units), "scale": 0.001}
+    camera = written(tmp_path, "camera.json", lens)
+    refused({"camera": camera, "depth": stated}, "times those of the ground seen from 0.70 m")
+
+
 def test_axes_of_opengl_as_those_of_opencv(tmp_path):
     wrong = pose() @ np.diag([1, -1, -1, 1])
     camera = written(tmp_path, "camera.json", LENS | {"pose": wrong.tolist()})

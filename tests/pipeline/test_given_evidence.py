@@ -165,7 +165,8 @@ def test_focal_length_of_exif_is_a_prior(tmp_path):
     both = evidence_of_run(load_photo(tmp_path / "a.jpg"), gravity).evidence.camera
     assert both.focal_sd == 0.03 and both.pitch == pytest.approx(0)
     calibrated = nw.Evidence(camera=nw.KnownCamera((640, 480), focal=600.0))
-    assert evidence_of_run(load_photo(tmp_path / "a.jpg"), calibrated).evidence is calibrated
+    read = evidence_of_run(load_photo(tmp_path / "a.jpg"), calibrated)
+    assert read.evidence is calibrated and "0.80 times that of" in read.refused[0]
 
 
 def test_exif_data_of_a_crop_are_refused_with_the_reason(tmp_path):
