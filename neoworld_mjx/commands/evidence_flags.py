@@ -23,6 +23,8 @@ class EvidenceFlags:
     """Direction in which things fall, in the camera's frame; 0 1 0 is a level camera."""
     base: Path | None = None
     """Pose of the camera in a robot's base frame, in which the scene is then expressed."""
+    ground: float | None = None
+    """Height of the scene's plane z = 0, such as the table's top, in the base frame [m]."""
     evidence: Path | None = None
     """YAML file that names all of these; other flags take precedence."""
 
@@ -35,8 +37,9 @@ class EvidenceFlags:
             for name in ("camera", "depth", "masks", "base")
             if (value := getattr(self, name)) is not None
         }
-        if self.gravity is not None:
-            flags["gravity"] = self.gravity
+        for name in ("gravity", "ground"):
+            if (value := getattr(self, name)) is not None:
+                flags[name] = value
         own = StatedEvidence(**flags)
         if self.evidence is not None:
             return read_stated(self.evidence).overridden(own)

@@ -7,7 +7,7 @@
 | .json | BOP: camera.json, or scene_camera.json with cam_K by image number |
 | .json | nerfstudio: transforms.json with frames by file |
 | folder, .txt | COLMAP: cameras.txt, and images.txt beside it |
-| .npy, .txt | the 3 x 3 matrix K, or the 4 x 4 matrix of a pose |
+| .npy, .txt, .csv | the 3 x 3 matrix K, or the 4 x 4 matrix of a pose |
 
 The poses of BOP, nerfstudio and COLMAP lead to a world of their own, whose z need not be vertical
 and whose unit need not be the meter. They count only where a file is given as the base frame.
@@ -101,7 +101,7 @@ def read_camera_file(path: Path, photo: str = "") -> CameraFile:
     suffix = path.suffix.lower()
     if suffix == ".npy":
         return _matrix(read_arrays(path, EvidenceError)[""], path)
-    if suffix == ".txt":
+    if suffix in (".txt", ".csv"):
         if path.name in ("cameras.txt", "images.txt"):
             return _colmap(path.parent, photo)
         return _matrix(_numbers(read_untrusted_text(path, EvidenceError, "camera"), path), path)
@@ -111,7 +111,7 @@ def read_camera_file(path: Path, photo: str = "") -> CameraFile:
         value = read_yaml(path, "camera", EvidenceError)
     else:
         raise EvidenceError(
-            f"{path}: a camera is a .json, .yaml, .npy or .txt file, or a folder of COLMAP"
+            f"{path}: a camera is a .json, .yaml, .npy, .txt or .csv file, or a folder of COLMAP"
         )
     return camera_of_value(value, path, photo)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import EvidenceError
-from ..spec import Camera
+from ..spec import Camera, SceneTree
 from .depth_image import DepthImage
 from .evidence import Evidence, PhotoPixels
 from .known_camera import KnownCamera
@@ -152,6 +152,38 @@ def _check_scale(depth: DepthImage, camera: KnownCamera) -> None:
         raise EvidenceError(
             f"{depth.source}: depths are {ratio:.2g} times those of the ground seen from "
             f"{camera.height:.2f} m: give the scale in meters per unit, or correct ground"
+        )
+
+
+def check_distances(depth: DepthImage, tree: SceneTree) -> None:
+    """Refuse metric depths in another unit than the distances of a tree.
+
+    Args:
+        depth: the depth image, in the view of the tree's camera.
+        tree: the tree of a response, whose distances are right within a factor of `SCALE`.
+
+    Raises:
+        EvidenceError: most objects are at other distances.
+    """
+    if depth.kind != "metric":
+        return
+    height, width = depth.values.shape
+    per_pixel = np.array([width / tree.camera.width, height / tree.camera.height_px] * 2)
+    ratios = []
+    for node in tree.nodes:
+        left, top, right, bottom = np.array(node.box2d.as_tuple()) * per_pixel
+        # The middle of the box shows the object.
+        rows = slice(round(0.7 * top + 0.3 * bottom), round(0.3 * top + 0.7 * bottom) + 1)
+        columns = slice(round(0.7 * left + 0.3 * right), round(0.3 * left + 0.7 * right) + 1)
+        values = depth.values[rows, columns]
+        _, distance = tree.camera.project(node.box3d.corners(node.base_tilt).mean(axis=0))
+        if not node.environment and np.isfinite(values).any() and distance > 0:
+            ratios.append(float(np.nanmedian(values)) / float(distance))
+    ratio = float(np.median(ratios)) if ratios else 1.0
+    if not 1 / SCALE < ratio < SCALE:
+        raise EvidenceError(
+            f"{depth.source}: its depths are {ratio:.2g} times the distances that the response "
+            "estimates from known sizes: give the scale in meters per unit"
         )
 
 

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from ..errors import EvidenceError
 from ..spec import Spec
 from ..spec.base import Number, Vec3
-from .known_camera import KnownCamera
+from .known_camera import EXACT_FOCAL, KnownCamera
 from .lens import COEFFICIENTS, Lens, LensModel, Pinhole, is_pinhole, pinhole_of
 
 Row = tuple[Number, Number, Number, Number]
@@ -75,6 +75,8 @@ class FileCamera(Spec):
     fy: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     cx: Number | None = None
     cy: Number | None = None
+    focal_sd: float | None = Field(default=None, gt=0, le=1)
+    """Standard deviation of the focal length, relative to it; None for a calibrated one."""
     distortion: Distortion | None = None
     depth_scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Unit of the depth images of this camera [mm], as in BOP; None if not stated."""
@@ -106,7 +108,7 @@ class FileCamera(Spec):
             if self.ground is None:
                 update["ground"] = other.ground
         if self.fovy is None and self.fx is None:
-            names = ("width", "height", "fovy", "fx", "fy", "cx", "cy", "distortion")
+            names = ("width", "height", "fovy", "fx", "fy", "cx", "cy", "focal_sd", "distortion")
             update |= {name: getattr(other, name) for name in names}
         return self.model_copy(update=update)
 
@@ -213,17 +215,19 @@ def intrinsics(
     stated: FileCamera, size: tuple[int, int], source: str
 ) -> tuple[KnownCamera, Lens | None]:
     """Return what `known_camera` returns, without the pose."""
-    lens = photo_lens(stated, size, source)
+    lens, sd = photo_lens(stated, size, source), stated.focal_sd or EXACT_FOCAL
     if stated.fovy is not None:
         focal = size[1] / 2 / math.tan(stated.fovy / 2)
-        return KnownCamera(size, focal=focal, source=source), None
+        return KnownCamera(size, focal=focal, focal_sd=sd, source=source), None
     if lens is None:
         return KnownCamera(size, source=source), None
     shown, distorted = pinhole_of(lens), lens
     if is_pinhole(lens):
         shown, distorted = Pinhole(size, sum(lens.focal) / 2, lens.center), None
     principal = (shown.center[0] - shown.size[0] / 2, shown.center[1] - shown.size[1] / 2)
-    known = KnownCamera(shown.size, focal=shown.focal, principal=principal, source=source)
+    known = KnownCamera(
+        shown.size, focal=shown.focal, focal_sd=sd, principal=principal, source=source
+    )
     return known, distorted
 
 

@@ -35,6 +35,7 @@ def parse_photo(context: StepContext) -> None:
 
     The tree of the model's response, before its fit, is kept as history/response/tree.json.
     """
+    from ..evidence.consistency import check_distances
     from ..parse.parse import parse
     from ..render import to_png
     from .given_evidence import kept_evidence
@@ -45,8 +46,10 @@ def parse_photo(context: StepContext) -> None:
     with run.step("parse", inputs) as out:
         if out is None:
             return
-        known = kept_evidence(run).camera
-        parsed = run_coroutine(parse(photo, models, options, known=known))
+        known = kept_evidence(run)
+        parsed = run_coroutine(parse(photo, models, options, known=known.camera))
+        if known.depth is not None:
+            check_distances(known.depth, parsed.response_tree)
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
         (out / RESPONSE_TREE).parent.mkdir(parents=True)
         (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")

@@ -96,6 +96,10 @@ def matrix_txt(path):
     path.write_text("\n".join(" ".join(map(str, row)) for row in K))
 
 
+def matrix_csv(path):
+    path.write_text("\n".join(", ".join(map(str, row)) for row in K))
+
+
 FILES = {
     "camera.json": own,
     "camera.yaml": own_yaml,
@@ -107,6 +111,7 @@ FILES = {
     "cameras.txt": colmap,
     "K.npy": matrix_npy,
     "cam_K.txt": matrix_txt,
+    "camera_matrix.csv": matrix_csv,
 }
 
 
@@ -179,6 +184,11 @@ def test_worlds_of_reconstructions_are_no_base_frame_unless_given_as_one(tmp_pat
     assert camera.pose is None and camera.fx == FX
 
 
+def test_estimated_intrinsics_have_a_width():
+    camera = FileCamera(fx=FX, fy=FY, cx=CX, cy=CY, focal_sd=0.05)
+    assert known_camera(camera, SIZE, "network")[0].focal_sd == 0.05
+
+
 def test_photographs_that_were_resized_scale_the_intrinsics(tmp_path):
     own(tmp_path / "camera.json")
     known, _ = known_camera(read_camera(tmp_path / "camera.json"), (1280, 960), "camera.json")
@@ -213,7 +223,7 @@ def test_gravity_gives_pitch_and_roll_and_keeps_the_rest_unknown():
         ("a.yaml", "just text", "holds a str"),
         ("a.txt", "1 2 3", "K is 3 x 3"),
         ("a.txt", "1 two 3", "not a matrix of numbers"),
-        ("a.xml", "<a/>", ".json, .yaml, .npy or .txt"),
+        ("a.xml", "<a/>", ".json, .yaml, .npy, .txt or .csv"),
         ("cameras.txt", "1 OPENCV_STEREO 640 480 1 2 3", "choices: SIMPLE_PINHOLE"),
         ("cameras.txt", "1 PINHOLE 640 480 1 2 3", "camera 1 is not PINHOLE with fx fy cx cy"),
     ],

@@ -147,6 +147,13 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     assert json.loads((out / "run.json").read_text())["evidence"] == {"used": {}, "refused": []}
 
 
+def test_depth_in_another_unit_than_the_response_is_refused(tmp_path, photo, quick_config):
+    values = np.linspace(3.0, 5.0, 400)[:, None] + np.zeros((1, 600))
+    given = nw.Evidence(depth=nw.DepthImage(values, source="depth.png"))
+    with pytest.raises(EvidenceError, match=r"depth\.png: its depths are .* times the distances"):
+        reconstruct(photo, tmp_path / "out", quick_config, until="parse", evidence=given)
+
+
 def jpeg(path, mm=26, size=(640, 480), taken=None):
     exif = Image.Exif()
     ifd = exif.get_ifd(0x8769)
