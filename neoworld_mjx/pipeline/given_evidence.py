@@ -1,5 +1,6 @@
 """Evidence of a run: read from the user's files, kept in the run folder, applied to the photo."""
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ..evidence.exif import exif_camera
 from ..evidence.stored import evidence_digest, evidence_files, evidence_lines, read_stored
 from ..parse.photo import Photo, load_photo
 from ..run_folder import RunFolder
+from ..run_folder.staging import refuse_links
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
@@ -66,8 +68,11 @@ def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = Non
 
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
+        RunError: the run's folder contains links.
     """
-    if given is None and folder is not None and (folder / FOLDER).is_dir():
+    # A folder that cannot be read is reported when it is opened.
+    if given is None and folder is not None and os.path.isdir(folder / FOLDER):
+        refuse_links(folder)
         return RunEvidence(read_stored(folder / FOLDER))
     if isinstance(given, Path | str):
         given = read_stated(Path(given))

@@ -147,6 +147,14 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     assert json.loads((out / "run.json").read_text())["evidence"] == {"used": {}, "refused": []}
 
 
+def test_evidence_of_a_run_is_not_read_through_links(tmp_path, photo):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "evidence").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RunError, match="is a link"):
+        evidence_of_run(load_photo(photo), None, tmp_path / "out")
+
+
 def test_depth_in_another_unit_than_the_response_is_refused(tmp_path, photo, quick_config):
     values = np.linspace(3.0, 5.0, 400)[:, None] + np.zeros((1, 600))
     given = nw.Evidence(depth=nw.DepthImage(values, source="depth.png"))
