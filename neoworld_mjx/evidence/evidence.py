@@ -26,11 +26,11 @@ class Evidence:
     """Depth image of the photograph's view; used only with a photograph."""
     masks: Masks | None = None
     """Masks of the objects in the photograph."""
-    lens: Lens | None = None
-    """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
-    describes the undistorted image."""
     boxes: bool = True
     """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
     own. The tree is then not fitted to them."""
     supports: bool = False
     """True if a person chose the supports, which the fit then keeps."""
+    lens: Lens | None = None
+    """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
+    describes the undistorted image."""

@@ -61,7 +61,10 @@ def _labels(path: Path) -> Int[np.ndarray, "row column"]:
     else:
         values = read_gray(path)
     if values.ndim == 3 and values.dtype.kind in "biuf" and values.shape[0] <= MAX_MASKS:
-        values = _stacked([values[k] != 0 for k in range(len(values))])
+        stack, areas = values, np.zeros(len(values) + 1)
+        values = np.zeros(stack.shape[1:], np.int32)
+        for number, mask in enumerate(stack, start=1):
+            _add(values, areas, mask != 0, number)
     if values.ndim != 2 or values.dtype.kind not in "biu":
         raise EvidenceError(
             f"{path} holds {values.dtype} of shape {values.shape}; masks are integers with two axes"
@@ -84,27 +87,33 @@ def _read_folder(folder: Path) -> Masks:
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() == ".png")
     if not 0 < len(files) <= MAX_MASKS:
         raise EvidenceError(f"{folder} has {len(files)} PNG files; expected 1 to {MAX_MASKS}")
-    masks: list[NDArray] = []
-    for file in files:
+    labels: NDArray = np.zeros((0, 0), np.int32)
+    areas = np.zeros(len(files) + 1)
+    for number, file in enumerate(files, start=1):
         mask = read_gray(file) != 0
         _check_side(mask, file)
-        if masks and mask.shape != masks[0].shape:
-            own, other = (f"{m.shape[1]} x {m.shape[0]}" for m in (mask, masks[0]))
+        if number == 1:
+            labels = np.zeros(mask.shape, np.int32)
+        if mask.shape != labels.shape:
+            own, other = (f"{m.shape[1]} x {m.shape[0]}" for m in (mask, labels))
             raise EvidenceError(f"{file} has {own} pixels, and {files[0].name} {other}")
         if not mask.any():
             raise EvidenceError(f"{file} is empty: all of its pixels are 0")
-        masks.append(mask)
-    return Masks(
-        _stacked(masks), {file.stem: k for k, file in enumerate(files, start=1)}, folder.name
-    )
+        _add(labels, areas, mask, number)
+    return Masks(labels, {file.stem: k for k, file in enumerate(files, start=1)}, folder.name)
 
 
-def _stacked(masks: list[NDArray]) -> Int[np.ndarray, "row column"]:
-    """Return labels 1 to n of masks; where masks overlap, the smallest wins."""
-    labels = np.zeros(masks[0].shape, np.int32)
-    for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
-        labels[masks[k]] = k + 1
-    return labels
+def _add(labels: NDArray, areas: NDArray, mask: NDArray, number: int) -> None:
+    """Add a mask to labels, in place; where masks overlap, the smallest wins.
+
+    Args:
+        labels: number at each pixel.
+        areas: number of pixels of each mask, by its number; that of `number` is set.
+        mask: the mask.
+        number: its number.
+    """
+    areas[number] = mask.sum()
+    labels[mask & ((labels == 0) | (areas[labels] > areas[number]))] = number
 
 
 def _names(file: Path, numbers: list[int], path: Path) -> dict[str, int]:

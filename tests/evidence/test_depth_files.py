@@ -1,5 +1,7 @@
 """Depth images: formats, missing values, flying pixels, and sensors beside the camera."""
 
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,6 +9,7 @@ from PIL import Image
 from neoworld_mjx.errors import EvidenceError
 from neoworld_mjx.evidence.depth_files import flying_pixels, read_depth, registered
 from neoworld_mjx.evidence.depth_image import MONOCULAR, DepthImage
+from neoworld_mjx.evidence.evidence_file import StatedEvidence, evidence_of
 from neoworld_mjx.evidence.lens import Lens
 from tests.support.made_up_view import BOXES, DEPTHS, HEIGHT, WIDTH, depth, table_depth
 
@@ -141,3 +144,28 @@ def test_depth_of_a_sensor_beside_the_camera_is_seen_from_the_camera():
     # The square is nearer than the wall beside it, which it hides from the camera.
     assert (read.values[known & (expected < 1)] < 0.85).mean() > 0.97
     assert set(np.unique(read.confidence[known])) == {1.0}
+
+
+def test_sensor_beside_the_camera_and_scale_of_bop_in_an_evidence_file(tmp_path):
+    photo = Lens((320, 240), (300.0, 300.0), (160.0, 120.0))
+    values = boxes_seen_by(photo)
+    png16(tmp_path / "depth.png", values, 10_000)
+    lens = {"cam_K": [300, 0, 159.5, 0, 300, 119.5, 0, 0, 1], "depth_scale": 0.1}
+    (tmp_path / "scene_camera.json").write_text(json.dumps({"3": lens}))
+    sensor = {"fx": 300, "fy": 300, "cx": 159.5, "cy": 119.5}
+    (tmp_path / "sensor.json").write_text(json.dumps(sensor))
+    to_photo = np.eye(4)
+    to_photo[2, 3] = 0.2  # The sensor is 20 cm ahead of the camera.
+    stated = StatedEvidence(
+        camera=str(tmp_path / "scene_camera.json"),
+        depth={
+            "file": str(tmp_path / "depth.png"),
+            "camera": str(tmp_path / "sensor.json"),
+            "to_photo": to_photo.tolist(),
+        },
+        check=False,
+    )
+    read = evidence_of(stated, "000003.png", np.zeros((240, 320, 3), np.uint8), (320, 240))
+    known = read.depth.values[np.isfinite(read.depth.values)]
+    assert known.min() == pytest.approx(1.0, abs=1e-3)
+    assert known.max() == pytest.approx(1.7, abs=1e-3)

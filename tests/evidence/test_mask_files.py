@@ -33,6 +33,18 @@ def test_one_image_for_each_object(tmp_path):
     assert masks.of("green")[120, 250] and not masks.of("green")[0, 0]
 
 
+def test_smallest_of_overlapping_masks_wins(tmp_path):
+    for name, side in {"a_plate": 60, "b_cup": 20, "c_table": 90}.items():
+        mask = np.zeros((100, 100), np.uint8)
+        mask[:side, :side] = 1
+        Image.fromarray(mask).save(tmp_path / f"{name}.png")
+    masks = read_masks(tmp_path)
+    at = lambda pixel: {number: name for name, number in masks.names.items()}[
+        int(masks.labels[pixel, pixel])
+    ]
+    assert [at(5), at(30), at(80)] == ["b_cup", "a_plate", "c_table"]
+
+
 def test_stack_of_masks_of_a_segmenter(tmp_path):
     stack = np.stack([labels() == number for number in (9, 3)])
     np.save(tmp_path / "masks.npy", stack)
