@@ -11,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from .base_command import CommandResult, ConfiguredCommand
+from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
     from ..render import View
@@ -206,7 +207,7 @@ class ViewCommand(PageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnnotateCommand(PageCommand):
+class AnnotateCommand(EvidenceFlags, PageCommand):
     """Annotate a photograph by hand, without a model: boxes, labels, camera and templates."""
 
     photo: Positional[Path]
@@ -218,14 +219,20 @@ class AnnotateCommand(PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
+        from ..parse.photo import load_photo
         from ..pipeline.annotated import read_annotation, write_annotated
+        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
         from ..run_folder import Result
         from ..view.annotate_page import Annotator, empty_annotation
         from ..view.annotation import Annotation
         from ..view.server import address, close_server, open_server
 
         config = self.load_config()
-        annotation = empty_annotation(self.photo, config)
+        photo = load_photo(self.photo, config.parse.max_side_px)
+        kept = None if self.start is None else self.out
+        known = evidence_of_run(photo, self.stated(), kept).evidence
+        photo = undistorted_photo(photo, known)
+        annotation = empty_annotation(photo, known.camera)
         if self.start is not None:
             empty, annotation = annotation.camera, read_annotation(self.out)
             run_size, photo_size = (
@@ -244,11 +251,13 @@ class AnnotateCommand(PageCommand):
             )
 
         def write(annotation: Annotation, simulate: bool) -> Result:
-            return write_annotated(self.photo, self.out, annotation, config, simulate=simulate)
+            return write_annotated(
+                *(self.photo, self.out, annotation, config), simulate=simulate, evidence=known
+            )
 
         server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)
         try:
-            Annotator(server, self.photo, self.out, annotation, config, write)
+            Annotator(server, photo, self.out, annotation, write)
             return self.serve_until_interrupted(address(server))
         finally:
             close_server(server)

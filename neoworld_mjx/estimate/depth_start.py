@@ -1,4 +1,4 @@
-"""Initial values of the alignment by a depth image: supports, then every object, at their places."""
+"""Initial values of the alignment by a depth image: supports and objects at measured places."""
 
 import math
 from typing import NamedTuple

@@ -229,6 +229,14 @@ def unprojected(
     depth: Float[np.ndarray, " n"],
     width: int,
 ) -> Float[np.ndarray, "n 3"]:
+    """Return the points in the world at some pixels of an image `width` pixels wide [m].
+
+    Args:
+        now: the placement, for its camera.
+        pixel: pixels of the image.
+        depth: depths along the view [m].
+        width: width of the image [px].
+    """
     camera = now.camera
     ratio = width / camera.width
     offset = (pixel / ratio - camera.center) / camera.focal

@@ -7,6 +7,7 @@ from jaxtyping import UInt8
 
 from .depth_image import DepthImage
 from .known_camera import KnownCamera
+from .lens import Lens
 from .masks import Masks
 
 PhotoPixels = UInt8[np.ndarray, "row column 3"]
@@ -30,3 +31,6 @@ class Evidence:
     own. The tree is then not fitted to them."""
     supports: bool = False
     """True if a person chose the supports, which the fit then keeps."""
+    lens: Lens | None = None
+    """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
+    describes the undistorted image."""
