@@ -17,6 +17,8 @@ from neoworld_mjx.places import Place
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
+EvidenceName = Literal["fov", "exif", "pose", "depth", "affine", "disparity", "masks"]
+"""Kinds of evidence of `noise.known_evidence`."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
 
 
@@ -39,7 +41,17 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyRuns(Place):
+class GivenEvidence:
+    """Options of suites in which the photograph comes with evidence."""
+
+    evidence: tuple[EvidenceName, ...] = ()
+    """Evidence beside the photograph, none by default. fov, exif: field of view, calibrated or with
+    an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
+    disparity: depth of a network, up to scale and shift; masks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoisyRuns(GivenEvidence, Place):
     """Options of suites that run methods from noisy initial scenes."""
 
     starts: int = 2
@@ -124,7 +136,7 @@ class Tasks(NoisyRuns):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plans(ModelRequests):
+class Plans(GivenEvidence, ModelRequests):
     """Request plans of the manipulation tasks from a model, and execute them in the scene that it
     sees and in the ground truth; a plan that fails refines the layout, as in Section 4.4 of the
     paper.
@@ -143,7 +155,7 @@ class Plans(ModelRequests):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class Coverage(GivenEvidence):
     """Count the 90 % intervals of aligned objects that hold the truth, over rendered scenes with
     all errors of responses. Half an hour on two cores.
     """
