@@ -6,7 +6,7 @@ errors and an unknown scale and shift besides. Masks and calibrations are exact.
 
 import math
 from collections.abc import Sequence
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -100,7 +100,7 @@ def known_evidence(
 def _known_camera(
     kinds: Sequence[str], camera: Camera, rng: np.random.Generator
 ) -> KnownCamera | None:
-    known: dict[str, float] = {}
+    known: dict[str, Any] = {}
     if "fov" in kinds:
         known["focal"] = camera.focal
     if "exif" in kinds:
