@@ -144,7 +144,7 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     if o.data is None or o.runs is None:
         raise ConfigError("real-poses needs DATA, the folder of the data set, and --runs DIR")
     with kept_rows(o, config) as store:
-        views, objects = score_real_views(o.data, o.runs, config.refine, store)
+        views, objects = score_real_views(o.data, o.runs, config, store, place_with=o.place_with)
     return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 

@@ -19,6 +19,8 @@ NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
 EvidenceName = Literal["fov", "exif", "pose", "depth", "affine", "disparity", "masks"]
 """Kinds of evidence of `noise.known_evidence`."""
+KnownView = Literal["photo", "camera", "depth"]
+"""What is known of a real view: the photograph, its camera besides, and its depth besides."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
 
 
@@ -212,6 +214,9 @@ class RealPoses:
     runs: Path | None = None
     """Folder of run folders named after the views. A row is written for each of their scenes:
     composed, aligned and refined."""
+    place_with: tuple[KnownView, ...] = ()
+    """Also place the objects of each run anew, and score them: with the photograph alone, with the
+    camera of DATA, or with camera and depth of DATA."""
 
 
 @dataclass(frozen=True, kw_only=True)
