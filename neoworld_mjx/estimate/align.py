@@ -9,19 +9,21 @@ pose, and its 2D box keeps it in place in the image if the camera moves.
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
+from ..evidence.evidence import Evidence
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .alignment import (
     Alignment,
-    Evidence,
+    EvidenceKind,
     FittedUnknowns,
     JointAlignment,
     ObjectAlignment,
@@ -33,8 +35,10 @@ from .alignment import (
 from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
+from .depth_rows import CAMERA_REACHES, SceneDepth
+from .depth_start import moved_to, place_by_depth, with_measured_supports
 from .image_lines import VerticalEdges
-from .normal_equations import NormalEquations, box_evidence, contour_evidence
+from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
@@ -64,15 +68,17 @@ class AlignmentStage:
     """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
     local_colors: bool = False
     """If True, use the colors near each point of a contour, too."""
+    depth_reach: float = 0.02
+    """Residual of a depth at which its weight is quartered [m]."""
     open_focal: bool = False
     """If True, use the wide prior of the focal length, and estimate after each step whether the
     field of view is misjudged."""
 
 
 STAGES = (
-    AlignmentStage(2, COARSE_PX, open_focal=True),
-    AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True),
-    AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True),
+    AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
+    AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True, depth_reach=0.06),
+    AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True, depth_reach=0.03),
     AlignmentStage(2, FINE_PX, 6.0, 0.5, local_colors=True),
 )
 STAGES_AGAIN = (
@@ -88,6 +94,7 @@ def align(
     options: AlignOptions | None = None,
     *,
     measured: Collection[str] = (),
+    evidence: Evidence | None = None,
 ) -> Alignment:
     """Align a composed scene with its photograph.
 
@@ -99,6 +106,8 @@ def align(
         options: which unknowns are estimated, and which evidence is used.
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
             Their prior is narrower, but they still move if the contours clearly contradict them.
+        evidence: known camera, depth image and masks; its photograph is not used. The scene's
+            camera must have the known values.
 
     Returns:
         The aligned scene, with its camera and each object's uncertainty. If the scene has no
@@ -108,7 +117,8 @@ def align(
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
     o = options or AlignOptions()
-    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured))
+    known = evidence or Evidence()
+    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured), evidence=known)
 
 
 def align_again(
@@ -116,6 +126,8 @@ def align_again(
     photo: UInt8[np.ndarray, "row column 3"],
     only: Collection[str],
     options: AlignOptions | None = None,
+    *,
+    evidence: Evidence | None = None,
 ) -> Alignment:
     """Align some objects of an aligned scene once more; all others and the camera keep their poses.
 
@@ -124,6 +136,7 @@ def align_again(
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
         only: names of the objects that may move.
         options: as for `align`. Joints keep their positions.
+        evidence: depth image and masks.
 
     Returns:
         The alignment. Its uncertainties do not include that of the camera.
@@ -132,7 +145,7 @@ def align_again(
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
     o = (options or AlignOptions()).model_copy(update={"camera": False, "joints": False})
-    return _aligned(scene, photo, o, STAGES_AGAIN, only=only)
+    return _aligned(scene, photo, o, STAGES_AGAIN, only=only, evidence=evidence or Evidence())
 
 
 def _aligned(
@@ -141,6 +154,7 @@ def _aligned(
     o: AlignOptions,
     stages: Sequence[AlignmentStage],
     *,
+    evidence: Evidence,
     measured: frozenset[str] = frozenset(),
     only: Collection[str] | None = None,
 ) -> Alignment:
@@ -154,13 +168,22 @@ def _aligned(
             f"the photograph has {size} pixels, which is not the aspect ratio of the scene's "
             f"camera ({camera.width} x {camera.height_px})"
         )
-    unknowns = Unknowns.of(scene, camera, joints=o.joints and o.contours, only=only)
+    rises = evidence.depth is not None
+    make = partial(
+        Unknowns.of, camera=camera, joints=o.joints and o.contours, only=only, rises=rises
+    )
+    unknowns = make(scene)
     if not len(unknowns.free):
         return Alignment(scene)
+    if rises:
+        rough = _Problem(unknowns, o, measured, None, evidence)
+        x = np.zeros(unknowns.size)
+        x[:CAMERA] = rough.camera_by_supports(x)
+        unknowns = make(with_measured_supports(scene, rough.depth_at(x)))
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
-    problem = _Problem(unknowns, o, measured, colliders)
+    problem = _Problem(unknowns, o, measured, colliders, evidence)
     try:
         return _solution(problem, photo, images, stages)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -179,7 +202,9 @@ def _solution(
     }
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
-    x = np.zeros(unknowns.size)
+    x = problem.start()
+    if problem.evidence.depth is not None:
+        problem = replace(problem, mean=problem.prior_mean(x))
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:
@@ -196,12 +221,21 @@ def _solution(
     last = stages[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = problem.solved(equations)
-    refused = problem.refused(equations, drawn, images[last.width].bins)
-    if refused:
-        reasons |= dict.fromkeys(refused, "its colors do not distinguish it from its surroundings")
-        reset = equations.solved(without=refused)
+    contradicted: frozenset[int] = frozenset()
+    sources: tuple[Source, ...] = ("contour", "depth")
+    for source in sources if problem.evidence.depth is not None else sources[:1]:
+        refused = problem.refused(equations, drawn, images[last.width].bins, source)
+        if not refused:
+            continue
+        if source == "contour":
+            reason = "its colors do not distinguish it from its surroundings"
+            reasons |= dict.fromkeys(refused, reason)
+        else:
+            contradicted = frozenset(refused)
+            problem = replace(problem, without_depth=contradicted)
+        reset = equations.solved(without=refused, source=source)
         for k in refused:
-            own = [*range(*unknowns.columns(k).indices(unknowns.size)), *unknowns.joint_columns(k)]
+            own = unknowns.own_columns(k)
             x[own] = reset[own]
         for _ in range(last.steps):
             equations, drawn = problem.linearized(x, images[last.width], last, reasons)
@@ -222,10 +256,16 @@ class _Problem:
     measured: frozenset[str]
     colliders: SceneGeoms | None
     """Collision geoms of the scene; None if objects may overlap."""
+    evidence: Evidence = field(default_factory=Evidence)
+    """Known camera, depth image and masks."""
     misjudged: bool = True
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    mean: Float[np.ndarray, " u"] | None = None
+    """Mean of the prior; None if it is the composed scene."""
+    without_depth: frozenset[int] = frozenset()
+    """Indices of the objects whose depth is ignored."""
     held: frozenset[int] = frozenset()
     """Indices of the open joints that keep their composed positions."""
 
@@ -233,6 +273,56 @@ class _Problem:
     def uses_edges(self) -> bool:
         """True if vertical edges are evidence about the camera."""
         return self.options.camera and self.options.contours and self.options.edges
+
+    def start(self) -> Float[np.ndarray, " u"]:
+        """Return initial values: the composed scene, or every object at its measured distance.
+
+        With metric depth, fixed supports locate the camera first. Objects follow, parents first.
+        """
+        unknowns, image = self.unknowns, self.evidence.depth
+        x = np.zeros(unknowns.size)
+        if image is None:
+            return x
+        first = self.depth_at(x)
+        x[:CAMERA] = self.camera_by_supports(x)
+        level = unknowns.arrangement.ancestors.sum(axis=1)
+        for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
+            place = place_by_depth(first, k)
+            if place is not None and not unknowns.in_wall[k].any():
+                x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
+        return x
+
+    def prior_mean(self, start: Float[np.ndarray, " u"]) -> Float[np.ndarray, " u"]:
+        """Return the mean of the prior: measured places of objects, and the composed camera."""
+        mean = start.copy()
+        mean[:CAMERA] = 0.0
+        return mean
+
+    def camera_by_supports(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " 4"]:
+        """Return the camera's unknowns by the depth of fixed supports; as in `x` without metric
+        depth.
+        """
+        unknowns, image = self.unknowns, self.evidence.depth
+        if image is None or image.kind != "metric" or not self.options.camera:
+            return x[:CAMERA]
+        x = x.copy()
+        for reach in CAMERA_REACHES:
+            depth = self.depth_at(x)
+            prior = prior_precision(unknowns, depth.now, x, self.camera_deviations())
+            equations, neighbors = NormalEquations(unknowns, prior, x), unknowns.neighbors(x)
+            for k in set(range(len(unknowns.scene.objects))) - set(unknowns.free.tolist()):
+                rows = depth.evidence(neighbors, k, reach)
+                if rows is not None:
+                    equations.add_depth(k, rows)
+            x[:CAMERA] = equations.solved()[:CAMERA]
+        return x[:CAMERA]
+
+    def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
+        """Return the measured depth of the scene rendered at `x`."""
+        now = self.unknowns.place(x[None])[0]
+        drawn = self.unknowns.draw(now, COARSE_PX)
+        assert self.evidence.depth is not None
+        return SceneDepth.of(self.evidence.depth, self.evidence.masks, self.unknowns, now, drawn)
 
     def linearized(
         self,
@@ -252,14 +342,27 @@ class _Problem:
         unknowns = self.unknowns
         now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
         drawn = unknowns.draw(now, stage.width)
-        deviations = camera_deviations(self.measured, misjudged=self.misjudged)
-        if not self.options.camera:
-            deviations = np.full(CAMERA, 1e-9)
-        equations = NormalEquations(unknowns, prior_precision(unknowns, now, x, deviations), x)
+        depth = None
+        if self.evidence.depth is not None:
+            depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
+        equations = NormalEquations(
+            unknowns,
+            prior_precision(
+                unknowns, now, x if self.mean is None else x - self.mean, self.camera_deviations()
+            ),
+            x,
+            mean=self.mean,
+            global_count=0 if depth is None else depth.global_count,
+        )
         if self.edges is not None:
             equations.add_camera(*linearized_edges(self.edges, unknowns, x))
         if self.colliders is not None:
             equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
+        if depth is not None:
+            for k in range(len(unknowns.scene.objects)):
+                rows = depth.evidence(neighbors, k, stage.depth_reach)
+                if rows is not None and k not in self.without_depth:
+                    equations.add_depth(k, rows)
         for k in unknowns.free.tolist():
             box = box_evidence(unknowns, now, neighbors, drawn, k)
             if box is not None:
@@ -280,6 +383,13 @@ class _Problem:
             if contour is not None:
                 equations.add_contour(k, contour)
         return equations, drawn
+
+    def camera_deviations(self) -> Float[np.ndarray, " 4"]:
+        """Return the prior standard deviations of the camera's unknowns."""
+        if not self.options.camera:
+            return np.full(CAMERA, 1e-9)
+        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        return camera_deviations(self.measured, known, misjudged=self.misjudged)
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
         """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
@@ -327,17 +437,24 @@ class _Problem:
         equations: NormalEquations,
         drawn: DrawnObjects,
         bins: Int[np.ndarray, "row column"],
+        source: Source = "contour",
     ) -> tuple[int, ...]:
-        """Return the objects that fit the photograph less well with their contours than without."""
+        """Return the objects whose colors contradict the evidence of a source.
+
+        They fit the photograph less well with this evidence than without.
+        """
         unknowns = self.unknowns
         held = self.as_composed(equations)
         now = unknowns.place(equations.solved(held=held)[None])[0]
         refused = []
-        for k in equations.with_contour:
+        used = equations.with_contour if source == "contour" else equations.with_depth
+        for k in (k for k in used if k in unknowns.free):
             still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
-            other = unknowns.place(equations.solved(without=(k,), held=still)[None])[0]
-            with_contour, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            if not is_supported(with_contour, without, bins):
+            other = unknowns.place(equations.solved(without=(k,), held=still, source=source)[None])[
+                0
+            ]
+            with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
+            if not is_supported(with_it, without, bins):
                 refused.append(k)
         return tuple(refused)
 
@@ -357,7 +474,7 @@ def _result(
     objects, items = {}, list(scene.objects)
     for k in unknowns.free.tolist():
         entries = x[unknowns.columns(k)]
-        evidence: Evidence = "box" if k in equations.with_box else "none"
+        evidence: EvidenceKind = "box" if k in equations.with_box else "none"
         if k in equations.with_contour:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)

@@ -8,7 +8,7 @@ are far off. So is that of the camera's pitch, which vertical edges can contradi
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
 NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
 """Changes of the camera's angles [deg] and height (relative) above which a note reports them."""
 
-Evidence = Literal["pixels", "box", "none"]
+EvidenceKind = Literal["pixels", "box", "none"]
 """Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
 
 
@@ -60,7 +60,7 @@ class JointAlignment:
 class ObjectAlignment:
     """Change of one object by the alignment."""
 
-    evidence: Evidence
+    evidence: EvidenceKind
     reason: str
     """Reason why contours do not determine the object's pose; empty if they do."""
     shift_m: tuple[float, float]
@@ -246,22 +246,34 @@ the opening from a ratio of two lengths in the image."""
 RANGE = 0.26
 """Standard deviation of the log range of a joint in a program. The parsed opening is a share of
 this range."""
+RISE_M, LEVEL_M = 0.003, 1e-6
+"""Standard deviation of the height above a support, if the height is unknown, and of an object that
+is attached to a wall, whose height is another unknown [m]."""
+TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
+"""Changes of a log size and of a height above a support up to which a t distribution has heavy
+tails, if there is a depth image."""
 LEAST_CLEARANCE_M = 0.005
 """Least standard deviation of the position of an object in a container [m]."""
 
 
-def camera_deviations(measured: Collection[str], *, misjudged: bool) -> Float[np.ndarray, " 4"]:
+def camera_deviations(
+    measured: Collection[str], known: Mapping[str, float], *, misjudged: bool
+) -> Float[np.ndarray, " 4"]:
     """Return the standard deviations of pitch and roll [rad], log focal length and log height.
 
     Args:
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
+        known: standard deviations of known parameters, as `KnownCamera.deviations`.
         misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
     deviations = np.array(
         [PITCH, ROLL, LOG_FOCAL_MISJUDGED if misjudged else LOG_FOCAL, LOG_HEIGHT]
     )
-    return deviations * [MEASURED if name in measured else 1.0 for name in names]
+    deviations *= [MEASURED if name in measured else 1.0 for name in names]
+    known_names = ("pitch", "roll", "focal", "height")
+    pairs = zip(known_names, deviations.tolist(), strict=True)
+    return np.array([known.get(name, deviation) for name, deviation in pairs])
 
 
 def is_misjudged(log_focal: float, deviation: float) -> bool:
@@ -297,7 +309,7 @@ def prior_precision(
     Args:
         unknowns: the unknowns.
         now: the placement at `x`.
-        x: values of the unknowns.
+        x: values of the unknowns, relative to the prior's mean.
         deviations: standard deviations of the camera's unknowns.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
@@ -325,11 +337,17 @@ def prior_precision(
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
         for column, deviation in ((2, yaw), (3, LOG_SIZE)):
-            spread = deviation**2 + entries[column] ** 2 / FREEDOM
+            # A depth image shows how large an object is, so no size is far from its start.
+            tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
+            spread = deviation**2 + tail**2 / FREEDOM
             precision[first + column, first + column] = 1 / spread
     for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
         spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
         precision[u, u] = 1 / spread
+    for k in unknowns.free.tolist():
+        deviation = LEVEL_M if unknowns.in_wall[k].any() else RISE_M
+        for u in unknowns.rise_columns(k):
+            precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
     return precision
 
 

@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 
+from ..evidence.known_camera import KnownCamera
 from ..measure import SidesShown
 from ..spec import Box3D, SceneTree, TreeNode
 from ..spec.tree import Relation
@@ -173,6 +174,7 @@ def fit_tree(
     tree: SceneTree,
     shapes: Mapping[str, Wireframe] | None = None,
     shown: Mapping[str, SidesShown] | None = None,
+    known: KnownCamera | None = None,
 ) -> tuple[SceneTree, FitReport]:
     """Fit camera and 3D boxes to the 2D boxes.
 
@@ -180,6 +182,7 @@ def fit_tree(
         tree: the parsed scene, or an earlier fit.
         shapes: built surfaces that replace the outlines of categories, see `fit_problem`.
         shown: visible sides of the built shapes at the parsed positions, see `hidden_sides`.
+        known: known parameters of the camera, which the tree has.
 
     Returns:
         The fitted tree, and the report.
@@ -188,6 +191,11 @@ def fit_tree(
     if not objects:
         return tree, FitReport(False, "there is no object to fit", 0.0, 0.0)
     problem = fit_problem(tree, objects, shapes, shown)
+    if known is not None:
+        deviations = known.deviations()
+        pairs = zip(("pitch", "height"), problem.data.camera_sd.tolist(), strict=True)
+        camera_sd = np.array([deviations.get(name, sd) for name, sd in pairs])
+        problem = replace(problem, data=replace(problem.data, camera_sd=camera_sd))
     refused: dict[str, str] = {}
     fixed = np.zeros(len(objects), bool)
     try:

@@ -5,13 +5,14 @@ Derivatives of image points with respect to the alignment's unknowns, by finite 
 Evidence from an object's contour and 2D box, linearized in the unknowns.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..spec import Camera
 from .colors import LabImage, color_models
 from .contacts import ContactGaps
 from .contours import ShapeEvidence, contour, displacements
@@ -46,6 +47,23 @@ def image_jacobian(
         stretches of `Unknowns.stretch_columns`.
     """
     along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
+    return value_jacobian(unknowns, now, neighbors, k, points, along, bodies)
+
+
+def value_jacobian(
+    unknowns: Unknowns,
+    now: Placement,
+    neighbors: list[Placement],
+    k: int,
+    points: Float[np.ndarray, "n 3"],
+    along: Callable[[Float[np.ndarray, "n 3"], Camera], Float[np.ndarray, " n"]],
+    bodies: Int[np.ndarray, " n"] | None = None,
+) -> Float[np.ndarray, "n v"]:
+    """Return the derivatives of a value of each point with respect to the unknowns.
+
+    Arguments and columns are as for `image_jacobian`; `along` maps points in the world and the
+    camera to the values.
+    """
     # Objects without open joints are transformed as a whole.
     body = k if bodies is None or (bodies == k).all() else bodies
     start = along(now.world(body, points), now.camera)
@@ -107,7 +125,10 @@ which the object itself is assumed to end there, rather than to be occluded."""
 
 @dataclass(frozen=True)
 class LinearEvidence:
-    """Linearized evidence about one object: weight * (residual - jacobian @ change)^2."""
+    """Linearized evidence about one object: weight * (residual - jacobian @ change)^2.
+
+    Residuals are in pixels or, for depths, in meters.
+    """
 
     jacobian: Float[np.ndarray, "n v"]
     """Derivatives [px per unit] with respect to all unknowns, and then with respect to the
@@ -116,6 +137,9 @@ class LinearEvidence:
     """[px]"""
     weight: Float[np.ndarray, " n"]
     """[1/px^2]"""
+    global_jacobian: Float[np.ndarray, "n g"] | None = None
+    """Derivatives with respect to the scale and shift of the depth image; None if the residuals do
+    not depend on them."""
 
 
 def contour_evidence(
@@ -172,7 +196,7 @@ def contour_evidence(
     precision = moved.precision / (1 + moved.precision * spread**2)
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
-    world = _unprojected(now, points.pixel, points.depth, width)
+    world = unprojected(now, points.pixel, points.depth, width)
     local = now.local(k if (body == k).all() else body, world)
     jacobian = image_jacobian(unknowns, now, neighbors, k, local, points.normal, width, body)
     return LinearEvidence(jacobian / unit, moved.value / unit, weight * unit**2)
@@ -199,12 +223,20 @@ def _spreads(
     return np.maximum(spread, least)
 
 
-def _unprojected(
+def unprojected(
     now: Placement,
     pixel: Float[np.ndarray, "n 2"],
     depth: Float[np.ndarray, " n"],
     width: int,
 ) -> Float[np.ndarray, "n 3"]:
+    """Return the points in the world at some pixels of an image `width` pixels wide [m].
+
+    Args:
+        now: the placement, for its camera.
+        pixel: pixels of the image.
+        depth: depths along the view [m].
+        width: width of the image [px].
+    """
     camera = now.camera
     ratio = width / camera.width
     offset = (pixel / ratio - camera.center) / camera.focal
@@ -271,20 +303,44 @@ ACTIVE_SETS = 10
 """Largest number of updates of the active set, the contacts that a step would violate."""
 
 
-class NormalEquations:
-    """Normal equations of the unknowns and of all stretches.
+GLOBAL_PRECISION = 1e-6
+"""Prior precision of the scale and shift of a depth image, which its own rows determine."""
+Source = Literal["contour", "depth"]
+"""Evidence that `NormalEquations.solved` can omit."""
 
-    The contour evidence is stored by object, so that `solved` can omit it.
+
+class NormalEquations:
+    """Normal equations of the unknowns, of all stretches, and of a depth image's scale and shift.
+
+    The evidence of contours and depths is stored by object, so that `solved` can omit it.
     """
 
     def __init__(
-        self, unknowns: Unknowns, prior: Float[np.ndarray, "v v"], x: Float[np.ndarray, " u"]
+        self,
+        unknowns: Unknowns,
+        prior: Float[np.ndarray, "v v"],
+        x: Float[np.ndarray, " u"],
+        *,
+        mean: Float[np.ndarray, " u"] | None = None,
+        global_count: int = 0,
     ):
-        """Start from the prior's precision matrix, at the values `x` of the unknowns."""
+        """Start from the prior's precision matrix, at the values `x` of the unknowns.
+
+        Args:
+            unknowns: the unknowns.
+            prior: precision of all unknowns and stretches.
+            x: values of the unknowns.
+            mean: mean of the prior; if None, 0.
+            global_count: number of unknowns of the depth image, which follow the stretches.
+        """
         self._unknowns, self._x = unknowns, x
+        if global_count:
+            prior = np.pad(prior, (0, global_count))
+            ends = np.arange(len(prior) - global_count, len(prior))
+            prior[ends, ends] = GLOBAL_PRECISION
         self._prior, self._precision = prior, prior.copy()
-        self._gradient = -prior[:, : unknowns.size] @ x
-        self._contours: dict[int, _Block] = {}
+        self._gradient = -prior[:, : unknowns.size] @ (x if mean is None else x - mean)
+        self._blocks: dict[Source, dict[int, _Block]] = {"contour": {}, "depth": {}}
         self._boxes: set[int] = set()
         self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))))
 
@@ -303,17 +359,32 @@ class NormalEquations:
 
     def add_contacts(self, contacts: ContactGaps) -> None:
         """Set the gaps between objects; `solved` penalizes steps that would make a gap negative."""
+        more = len(self._prior) - contacts.jacobian.shape[1]
+        if more:
+            contacts = contacts._replace(jacobian=np.pad(contacts.jacobian, ((0, 0), (0, more))))
         self._contacts = contacts
 
     def add_contour(self, k: int, evidence: LinearEvidence) -> None:
         """Add the evidence of an object's contour, which `solved` can omit."""
-        self._contours[k] = self._block(k, evidence)
-        self._add(self._contours[k], 1.0, self._precision, self._gradient)
+        self._add_source("contour", k, evidence)
+
+    def add_depth(self, k: int, evidence: LinearEvidence) -> None:
+        """Add the evidence of an object's depth, which `solved` can omit if the object is free."""
+        self._add_source("depth", k, evidence)
+
+    def _add_source(self, source: Source, k: int, evidence: LinearEvidence) -> None:
+        block = self._blocks[source][k] = self._block(k, evidence)
+        self._add(block, 1.0, self._precision, self._gradient)
 
     @property
     def with_contour(self) -> tuple[int, ...]:
         """Indices of the objects with contour evidence."""
-        return tuple(self._contours)
+        return tuple(self._blocks["contour"])
+
+    @property
+    def with_depth(self) -> tuple[int, ...]:
+        """Indices of the objects with depth evidence, fixed supports included."""
+        return tuple(self._blocks["depth"])
 
     @property
     def with_box(self) -> frozenset[int]:
@@ -321,17 +392,22 @@ class NormalEquations:
         return frozenset(self._boxes)
 
     def solved(
-        self, without: Collection[int] = (), held: Mapping[int, float] | None = None
+        self,
+        without: Collection[int] = (),
+        held: Mapping[int, float] | None = None,
+        *,
+        source: Source = "contour",
     ) -> Float[np.ndarray, " u"]:
         """Return new values of the unknowns; joints stay within their limits.
 
         Args:
-            without: indices of the objects whose contours are omitted.
+            without: indices of the objects whose evidence is omitted.
             held: given values of unknowns, by index of the unknown.
+            source: which evidence of these objects is omitted.
         """
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
-            self._add(self._contours[k], -1.0, precision, gradient)
+            self._add(self._blocks[source][k], -1.0, precision, gradient)
         fixed = dict(held or {})
         first = self._unknowns.first_joint
         while True:
@@ -404,9 +480,13 @@ class NormalEquations:
     def _block(self, k: int, evidence: LinearEvidence) -> "_Block":
         size = len(self._x)
         used = np.flatnonzero((evidence.jacobian[:, :size] != 0).any(axis=0))
-        stretches = self._unknowns.stretch_columns(k)
-        rows = np.concatenate([used, stretches])
+        stretches = self._unknowns.stretch_columns(k) if k in self._unknowns.free else []
+        rows = np.concatenate([used, stretches]).astype(int)
         jacobian = evidence.jacobian[:, np.concatenate([used, size + np.arange(len(stretches))])]
+        if evidence.global_jacobian is not None:
+            count = evidence.global_jacobian.shape[1]
+            rows = np.append(rows, np.arange(len(self._prior) - count, len(self._prior)))
+            jacobian = np.concatenate([jacobian, evidence.global_jacobian], axis=1)
         weighted = jacobian * evidence.weight[:, None]
         return _Block(rows, jacobian.T @ weighted, weighted.T @ evidence.residual)
 

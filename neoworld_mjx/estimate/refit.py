@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
+from ..evidence.known_camera import KnownCamera
 from ..measure import SidesShown
 from ..measure.boxes import (
     footprint,
@@ -384,6 +385,7 @@ def refit_tree(
     shown: Mapping[str, SidesShown] | None = None,
     *,
     change_supports: bool = True,
+    known: KnownCamera | None = None,
 ) -> tuple[SceneTree, FitReport]:
     """Fit a tree to its 2D boxes with the built shapes of its objects.
 
@@ -393,17 +395,18 @@ def refit_tree(
         shown: visible sides of the objects, from `measure.shown_sides` of the scene composed from
             the tree; if None, occlusion is estimated from 2D boxes.
         change_supports: if True, allow supports other than those of the tree; see `other_supports`.
+        known: known parameters of the camera, which the tree has.
 
     Returns:
         The fitted tree, and the report; see `fit_tree`.
     """
     nodes = [node for node in tree.nodes if not node.environment]
     surfaces = {node.name: surface_of(objects[node.name], node) for node in nodes}
-    fitted, report = fit_tree(tree, surfaces, shown)
+    fitted, report = fit_tree(tree, surfaces, shown, known)
     changes = other_supports(tree, fitted, objects, surfaces) if change_supports else {}
     if not changes:
         return fitted, report
-    fitted, report = fit_tree(with_supports(tree, changes), surfaces, shown)
+    fitted, report = fit_tree(with_supports(tree, changes), surfaces, shown, known)
     return fitted, replace(report, supports=changes)
 
 

@@ -6,7 +6,8 @@ The vector `x` consists of
 
 - pitch, roll, log focal length and log height of the camera,
 - dx, dy, yaw and log scale of each free object,
-- the value of each open joint, at scale 1.
+- the value of each open joint, at scale 1,
+- with a depth image, the height of each free object above its support.
 
 All entries are changes from the composed scene, for which `x` is zero. A change of the focal length
 also moves the camera along its view (a dolly zoom), so that the image of the scene's middle does
@@ -103,6 +104,8 @@ class Unknowns:
     """Open joints of free objects."""
     parts: tuple[MovingPart, ...] = ()
     """Parts that the open joints move. They are the bodies after the objects."""
+    rises: bool = False
+    """True if the heights of free objects above their supports are unknowns."""
 
     @classmethod
     def of(
@@ -112,6 +115,7 @@ class Unknowns:
         *,
         joints: bool = True,
         only: Collection[str] | None = None,
+        rises: bool = False,
     ) -> "Unknowns":
         """Return the unknowns of a composed scene.
 
@@ -120,6 +124,7 @@ class Unknowns:
             camera: its camera.
             joints: if True, open joints are unknowns.
             only: names of the objects that may move; if None, all objects with a parent may.
+            rises: if True, heights above supports are unknowns.
         """
         free = [
             k
@@ -143,12 +148,13 @@ class Unknowns:
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
             opened,
             parts_moved(items, opened),
+            rises,
         )
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return self.first_joint + len(self.joints)
+        return self.first_rise + (len(self.free) if self.rises else 0)
 
     @property
     def size_with_stretches(self) -> int:
@@ -159,6 +165,17 @@ class Unknowns:
     def first_joint(self) -> int:
         """Index of the first joint among the unknowns."""
         return CAMERA + EACH * len(self.free)
+
+    @property
+    def first_rise(self) -> int:
+        """Index of the first height above a support among the unknowns."""
+        return self.first_joint + len(self.joints)
+
+    def rise_columns(self, k: int) -> list[int]:
+        """Return the index of the height of a free object above its support, if it is unknown."""
+        if not self.rises:
+            return []
+        return [self.first_rise + int(i) for i in np.flatnonzero(self.free == k)]
 
     @cached_property
     def object_of(self) -> Int[np.ndarray, " body"]:
@@ -233,6 +250,11 @@ class Unknowns:
         joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
         return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
 
+    def own_columns(self, k: int) -> list[int]:
+        """Return the indices of all unknowns of a free object."""
+        pose = range(*self.columns(k).indices(self.size))
+        return [*pose, *self.joint_columns(k), *self.rise_columns(k)]
+
     def is_size(self, u: int) -> bool:
         """Return whether an unknown is the size of an object."""
         return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
@@ -240,7 +262,8 @@ class Unknowns:
     def joint_changes(self, x: Float[np.ndarray, " u"]) -> dict[int, dict[str, float]]:
         """Return the changes of joint values, by index of the object and name of the joint."""
         changes: dict[int, dict[str, float]] = {}
-        for joint, value in zip(self.joints, x[self.first_joint :].tolist(), strict=True):
+        values = x[self.first_joint : self.first_rise].tolist()
+        for joint, value in zip(self.joints, values, strict=True):
             changes.setdefault(joint.object, {})[joint.name] = value
         return changes
 
@@ -269,7 +292,10 @@ class Unknowns:
         up[:, self.free] = x[:, CAMERA + 1 : self.first_joint : EACH]
         up = np.where(self.in_wall.any(axis=1), up, 0.0)
         standing = (a.z + self.lowest) * parent - self.lowest * size
-        return np.where(fixed, a.z * parent + up, standing)
+        heights = np.where(fixed, a.z * parent + up, standing)
+        if self.rises:
+            heights[:, self.free] += x[:, self.first_rise :]
+        return heights
 
     def camera_at(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, float]:
         """Return the camera, and the shift of the scene along the world's x axis [m]."""
@@ -327,7 +353,7 @@ class Unknowns:
         rows = []
         found: dict[tuple[float, ...], tuple[list[Pose], list[Pose]]] = {}
         for r, row in enumerate(x):
-            key = tuple(row[self.first_joint :].tolist())
+            key = tuple(row[self.first_joint : self.first_rise].tolist())
             if key not in found:
                 changes = self.joint_changes(row)
                 motions = {k: part_motions(items[k], by) for k, by in changes.items()}
@@ -351,21 +377,38 @@ class Unknowns:
 
         The vectors are in the frame of the object's support, like the object's layout.
         """
-        a = self.arrangement
         offset = (now.pos[k] - now.camera.position())[:2]
         along = offset / max(float(np.linalg.norm(offset)), 1e-6)
+        return self.in_support_frame(k, np.array([along, [-along[1], along[0]]]))
+
+    def in_support_frame(
+        self, k: int, vectors: Float[np.ndarray, "*n 2"]
+    ) -> Float[np.ndarray, "*n 2"]:
+        """Rotate horizontal vectors from the world into the frame of an object's support."""
+        a = self.arrangement
         # The composed headings of the supports are used, because they change little.
         above = np.flatnonzero(a.ancestors[k])
         heading = float(np.sum(a.frame_yaw[above]) + np.sum(a.yaw[above[above != k]]))
         c, s = math.cos(heading), math.sin(heading)
-        return np.array([along, [-along[1], along[0]]]) @ np.array([[c, -s], [s, c]])
+        return vectors @ np.array([[c, -s], [s, c]])
 
     def columns_of(self, k: int) -> list[int]:
-        """Return the indices of the unknowns of an object and of all its supports."""
+        """Return the indices of the unknowns of an object and of all its supports.
+
+        If heights above supports are unknown, the sizes of the supports are omitted: otherwise a
+        support would grow to raise an object.
+        """
         above = np.flatnonzero(self.arrangement.ancestors[k])
         index = np.flatnonzero(np.isin(self.free, above))
         places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
-        return places + [u for other in above.tolist() for u in self.joint_columns(other)]
+        if self.rises:
+            own = self.columns(k).stop - 1 if k in self.free else -1
+            places = [u for u in places if u == own or not self.is_size(u)]
+        return places + [
+            u
+            for other in above.tolist()
+            for u in (*self.joint_columns(other), *self.rise_columns(other))
+        ]
 
     def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
         """Return the scene, with its camera, at the values `x` of the unknowns."""

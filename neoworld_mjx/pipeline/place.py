@@ -19,6 +19,7 @@ from ..estimate.alignment import Alignment
 from ..estimate.fit_tree import FitReport
 from ..estimate.refit import refit_tree
 from ..evidence.evidence import Evidence, PhotoPixels
+from ..evidence.known_camera import with_known_camera
 from ..measure import SceneMeasure, shown_sides
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine
@@ -77,10 +78,15 @@ def place(
     """
     began = time.perf_counter()
     evidence, options = evidence or Evidence(), options or ComposeOptions()
+    known = evidence.camera
+    if known is not None:
+        tree = with_known_camera(tree, known)
     fit = None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
-        tree, fit = refit_tree(tree, objects, visible, change_supports=not evidence.supports)
+        tree, fit = refit_tree(
+            tree, objects, visible, change_supports=not evidence.supports, known=known
+        )
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -88,7 +94,11 @@ def place(
             tree, composed, composed.scene, fit, seconds=time.perf_counter() - began
         )
     realign = partial(
-        align, photo=evidence.photo, options=options.align, measured=tree.camera_measured
+        align,
+        photo=evidence.photo,
+        options=options.align,
+        measured=tree.camera_measured,
+        evidence=evidence,
     )
     alignment, freed = realign(composed.scene), None
     if options.align.dimensions and programs is not None:
