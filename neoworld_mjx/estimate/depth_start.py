@@ -53,13 +53,16 @@ def place_by_depth(depth: SceneDepth, k: int) -> MeasuredPlace | None:
     vertices = (mesh.vertices - eye) @ axes
     origin = (now.pos[k] - eye) @ axes
     candidates = [MeasuredPlace(origin, 1.0)]
-    shown = depth.shown(k)
+    shown, box = depth.shown(k), depth.box(k)
+    if box is not None:
+        inside = np.zeros_like(shown)
+        inside[_window(box, shown.shape)] = True
+        shown = shown & inside if (shown & inside).sum() >= LEAST_PIXELS else shown
     if shown.sum() >= LEAST_PIXELS:
         used = eroded(shown) & np.isfinite(depth.measured.depth)
         if used.sum() >= LEAST_PIXELS:
             ratio = float(np.median((depth.measured.depth / depth.drawn.depth)[used]))
             candidates.append(MeasuredPlace(ratio * origin, ratio))
-    box = depth.box(k)
     if box is not None and vertices[:, 2].min() > 0:
         filled = _filling(depth, box, vertices, origin)
         if filled is not None:
@@ -69,6 +72,13 @@ def place_by_depth(depth: SceneDepth, k: int) -> MeasuredPlace | None:
     return candidates[best] if len(candidates) > 1 and scores[best] > 0 else None
 
 
+def _window(box: Float[np.ndarray, " 4"], shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of an image that a box touches."""
+    (left, top), (right, bottom) = np.floor(box[:2]).astype(int), np.ceil(box[2:]).astype(int)
+    rows = slice(max(int(top), 0), min(int(bottom), shape[0]))
+    return rows, slice(max(int(left), 0), min(int(right), shape[1]))
+
+
 def _filling(
     depth: SceneDepth,
     box: Float[np.ndarray, " 4"],
@@ -76,13 +86,10 @@ def _filling(
     origin: Float[np.ndarray, " 3"],
 ) -> MeasuredPlace | None:
     """Return the place at which an object fills its 2D box, at the depth in the box's middle."""
-    camera, (rows, columns) = depth.now.camera, depth.drawn.owner.shape
+    camera, columns = depth.now.camera, depth.drawn.owner.shape[1]
     center, half = (box[:2] + box[2:]) / 2, (box[2:] - box[:2]) / 2
-    low, high = center - MIDDLE * half, center + MIDDLE * half
-    window = np.s_[
-        max(int(low[1]), 0) : min(int(np.ceil(high[1])) + 1, rows),
-        max(int(low[0]), 0) : min(int(np.ceil(high[0])) + 1, columns),
-    ]
+    middle = np.concatenate([center - MIDDLE * half, center + MIDDLE * half])
+    window = _window(middle, depth.drawn.owner.shape)
     values = depth.measured.depth[window]
     values = values[np.isfinite(values)]
     if len(values) < LEAST_PIXELS / 2:
@@ -122,7 +129,7 @@ def _score(
     if shown.sum() < LEAST_PIXELS / 2:
         return 0.0
     gap = (depth.measured.depth - drawn.depth)[shown]
-    tolerance = NEAR_M + NEAR * drawn.depth[shown]
+    tolerance = NEAR_M + (NEAR + 2 * depth.image.smooth_sd) * drawn.depth[shown]
     share = float(np.mean(np.abs(gap) <= tolerance) + 0.5 * np.mean(gap < -tolerance))
     prior = 1 / (1 + (math.log(place.ratio) / LOG_RATIO) ** 2)
     if box is None:
