@@ -389,7 +389,7 @@ def test_only_a_carrier_of_four_times_the_area_is_a_support(below, floor):
 def test_the_alignment_gets_what_was_measured_and_contact_the_composed_scene(monkeypatch):
     got = {}
 
-    def aligned(scene, photo, options, measured=()):
+    def aligned(scene, photo, options, measured=(), evidence=None):
         got["measured"] = measured
         return Alignment(scene)
 
