@@ -207,6 +207,8 @@ def test_command_scores_every_stage(tmp_path, capfd):
     errors = {(row["stage"], row["object"]): row["error_mm"] for row in result["rows"]}
     assert errors["composed", "block"] > 5 and errors["refined", "block"] < 0.3
     assert result["figures"]["refined"]["median_error_mm"]["n"] == 4
+    assert result["figures"]["refined"]["median_absolute_mm"]["value"] < 0.3
+    assert result["figures"]["refined"]["unmeasured"] == 0
     assert "add_s" not in result["figures"]["refined"]
     # Aligned is what compose/align.json says.
     (run / "compose" / "align.json").write_text("{}")

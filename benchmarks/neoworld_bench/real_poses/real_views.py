@@ -308,7 +308,10 @@ def run_stages(folder: Path) -> Iterator[MadeView]:
 def real_figures(
     views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]
 ) -> dict[str, dict[str, Any]]:
-    """Return the means by stage, each with its n, and the recall over true objects."""
+    """Return the means by stage, each with its n, and the recall over true objects.
+
+    "unmeasured" is the number of objects that have no error, as they show no measured pixel.
+    """
     figures = {}
     for stage in dict.fromkeys(row.stage for row in views):
         stage_views = [row for row in views if row.stage == stage]
@@ -323,6 +326,8 @@ def real_figures(
         if errors:
             for name, values in (("error_mm", errors), ("absolute_mm", absolute)):
                 figure[f"median_{name}"] = {"value": float(np.median(values)), "n": len(values)}
+            made = [row for row in stage_objects if row.object]
+            figure["unmeasured"] = sum(row.absolute_mm is None for row in made)
         if true:
             figure |= {
                 "true_objects": len(true),
