@@ -121,7 +121,8 @@ def run(command: "Command") -> int:
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
-    with _reserved_stdout() as out, _log_on_stderr(command):
+    reserved = contextlib.nullcontext(sys.stdout) if command.owns_stdout else _reserved_stdout()
+    with reserved as out, _log_on_stderr(command):
 
         def end() -> None:
             os.write(2, f"error: {MESSAGE}\n".encode())

@@ -21,6 +21,8 @@ class Command:
 
     ends_by_interrupt: ClassVar[bool] = False
     """If True, the command runs until Ctrl-C and then returns a result."""
+    owns_stdout: ClassVar[bool] = False
+    """If True, the command itself writes to stdout, such as a protocol."""
 
     json: bool = False
     """Print the result as one JSON object on stdout, and everything else on stderr."""

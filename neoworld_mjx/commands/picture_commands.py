@@ -1,4 +1,4 @@
-"""Commands `render`, `view` and `annotate`: images, and pages in the browser."""
+"""Commands `preview`, `render`, `view` and `annotate`: images, and pages in the browser."""
 
 import logging
 import math
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import CommandResult, ConfiguredCommand
+from .base_command import Command, CommandResult, ConfiguredCommand
 
 if TYPE_CHECKING:
     from ..render import View
@@ -20,6 +20,56 @@ _log = logging.getLogger(__name__)
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 """Default direction of the camera, slightly to the side of the photograph's camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewCommand(Command):
+    """Draw a response to the request `parse` on the photograph, and check it, before it is given.
+
+    For a request of a mailbox, name its response.json: the photograph and the scene that a
+    correction changes are read from the same folder.
+    """
+
+    response: Positional[Path]
+    """The response: a JSON file, or a folder with response.json."""
+    photo: Path | None = None
+    """The photograph in the size that the request shows. Default: the first picture next to the
+    response."""
+    out: Path | None = None
+    """Output file, by default preview.png next to the response."""
+
+    def run(self) -> CommandResult:
+        """Write the picture, and return the numbers."""
+        from ..io.files import read_text, write_output
+        from ..mllm.requests import MAX_BODY_BYTES
+        from ..parse.photo import load_photo
+        from ..parse.preview import preview
+
+        folder = self.response if self.response.is_dir() else self.response.parent
+        file = folder / "response.json" if self.response.is_dir() else self.response
+        photo = self.photo or next(iter(sorted(folder.glob("1-*.*g"))), None)
+        if photo is None:
+            raise SpecError(f"{folder} contains no picture of a request: name one with --photo")
+        texts = []
+        for path in (file, folder / "prompt.md"):
+            try:
+                texts.append(read_text(path, MAX_BODY_BYTES))
+            except FileNotFoundError:
+                if path == file:
+                    raise SpecError(f"{file}: no such file; write the response first") from None
+                texts.append("")
+            except (OSError, UnicodeDecodeError) as error:
+                raise SpecError(f"cannot read {path}: {error}") from None
+        shown = preview(load_photo(photo), *texts)
+        out = self.out or folder / "preview.png"
+        write_output(out, shown.picture.data, SpecError)
+        return {"picture": str(out), "objects": shown.objects, "issues": shown.issues}
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return one line for each object and each issue."""
+        from ..parse.preview import number_lines
+
+        return [*number_lines(result["objects"], result["issues"]), f"picture: {result['picture']}"]
 
 
 @dataclass(frozen=True, kw_only=True)

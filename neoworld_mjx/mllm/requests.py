@@ -117,6 +117,14 @@ class Picture:
         """Width and height in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]
 
+    def bounded(self, max_bytes: int) -> tuple[str, bytes]:
+        """Return MIME type and content of the file; a larger file becomes a JPEG."""
+        if len(self.data) <= max_bytes:
+            return self.media_type, self.data
+        buffer = io.BytesIO()
+        Image.fromarray(self.rgb).save(buffer, "JPEG", quality=90)
+        return "image/jpeg", buffer.getvalue()
+
     @property
     def pixels(self) -> str:
         """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""

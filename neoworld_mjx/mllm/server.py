@@ -6,14 +6,12 @@ bodies, errors that name a remedy, and the schema in words where the server reje
 
 import asyncio
 import base64
-import io
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Sequence
 from typing import Any, ClassVar
 
 import anthropic
 import httpx2
-from PIL import Image
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
@@ -179,11 +177,7 @@ def client_arguments(provider: ServerProvider, sdk: Any) -> dict[str, Any]:
 
 def encoded(picture: Picture) -> tuple[str, str]:
     """Return a picture's media type and base64 text; a file that is too large becomes a JPEG."""
-    data, media_type = picture.data, picture.media_type
-    if len(data) > _MAX_PICTURE_BYTES:
-        buffer, media_type = io.BytesIO(), "image/jpeg"
-        Image.fromarray(picture.rgb).save(buffer, "JPEG", quality=90)
-        data = buffer.getvalue()
+    media_type, data = picture.bounded(_MAX_PICTURE_BYTES)
     return media_type, base64.b64encode(data).decode()
 
 

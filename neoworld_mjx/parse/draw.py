@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from ..fit.projection import edges_in_view
+from ..fit.projection import NEAR_M, edges_in_view
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from .photo import Photo
@@ -42,8 +42,9 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
     Args:
         photo: the photograph.
         tree: the parsed scene, in pixels of the original photo.
-        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes. Their pixels depend
-            on the rounding of the machine, so no request contains such a picture.
+        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes, and a line from the
+            center of each base to the object's front. Their pixels depend on the rounding of the
+            machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
@@ -205,4 +206,11 @@ def _edges(
         for start, end in edges_in_view(tree.camera, node.box3d.corners(node.base_tilt)):
             ends = [tuple((point * scale).tolist()) for point in (start, end)]
             draw.line(ends, fill=colours[node.name], width=1)
+        if not node.environment:  # A thicker line leads from the center of the base to the front.
+            corners = node.box3d.corners(node.base_tilt)
+            ends = np.array([corners[::2].mean(axis=0), corners[4::2].mean(axis=0)])
+            pixels, depth = tree.camera.project(ends)
+            if depth.min() > NEAR_M:
+                line = [tuple(point) for point in (pixels * scale).tolist()]
+                draw.line(line, fill=colours[node.name], width=3)
     return np.array(image)

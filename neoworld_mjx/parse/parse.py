@@ -245,7 +245,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
     response = (await models.ask(parse_request(photo))).value
-    attempt = await _fit_and_check(photo, response, options)
+    attempt = await fit_and_check(photo, response, options)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
             # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
@@ -269,7 +269,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await _fit_and_check(photo, response, options, already_asked=asked)
+        attempt = await fit_and_check(photo, response, options, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:
@@ -278,7 +278,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     return Parsed(tree, response_tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
 
 
-async def _fit_and_check(
+async def fit_and_check(
     photo: Photo, response: ParsedScene, options: ParseOptions, *, already_asked: bool = False
 ) -> SceneAttempt:
     """Fit a response to its 2D boxes and check it.

@@ -1,0 +1,271 @@
+"""A run that an agent answers: it computes in a thread, and the agent answers its mailbox.
+
+The mailbox is the only channel between the agent and the run. An agent's folder contains one
+current run, which `.neoworld-agent.json` names, so a restarted server continues it. All paths that
+an agent names must lie inside the folder.
+"""
+
+import io
+import logging
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from ..config import Config, load_config
+from ..errors import ConfigError, NeoWorldError, RunError
+from ..io import read_model
+from ..io.files import write_inside
+from ..io.names import file_name
+from ..mllm.mailbox_client import forget_waiting, open_requests
+from ..names import Step
+from ..progress import LOGGER
+from ..run_folder import Result
+from .terminal import StatusLine
+
+_log = logging.getLogger(__name__)
+PACKAGE = __name__.partition(".")[0]
+SESSION = ".neoworld-agent.json"
+FIXED = ("provider", "mllm", "files", "program.language")
+"""Options that an agent may not set: they name servers and files, or run programs elsewhere."""
+FAST: dict[str, Any] = {
+    "parse": {"critic_rounds": 0},
+    "program": {"critic_rounds": 0},
+    "verify": {"critic": "never"},
+}
+"""Options of a run without critics: one request for the parse, and one for each program."""
+MAILBOX = "mailbox"
+
+
+class _Session(BaseModel):
+    """Arguments of `AgentRun.start`, as stored in the agent's folder."""
+
+    photo: str
+    out: str
+    options: dict[str, Any] = {}
+    fast: bool = False
+
+
+@dataclass
+class _Computation:
+    """A reconstruction in a thread."""
+
+    ended: threading.Event = field(default_factory=threading.Event)
+    result: Result | None = None
+    error: str = ""
+
+
+class AgentRun:
+    """The current run of an agent's folder.
+
+    Args:
+        folder: the folder that contains the photographs, the runs and the exports.
+
+    Raises:
+        RunError: `folder` is no folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise RunError(f"{folder} is not a folder; name the folder of your photographs")
+        self.folder = folder.resolve()
+        self._session: _Session | None = None
+        self._computation: _Computation | None = None
+        self._lock = threading.RLock()
+        self._progress = StatusLine(io.StringIO(), quiet=True)
+
+    def path(self, text: str) -> Path:
+        """Return a path that an agent named.
+
+        Raises:
+            RunError: the path leads out of the folder.
+        """
+        try:
+            path = (self.folder / text).resolve()
+        except (OSError, ValueError, RuntimeError):
+            raise RunError(f"{text!r} is not a path") from None
+        if not path.is_relative_to(self.folder):
+            raise RunError(
+                f"{text!r} is outside the folder of this server, {self.folder}: copy the file "
+                "there, or start the server with another --folder"
+            )
+        return path
+
+    def start(
+        self, photo: str, out: str = "", options: dict[str, Any] | None = None, fast: bool = False
+    ) -> None:
+        """Begin the run of a photograph, or continue it.
+
+        Args:
+            photo: the photograph in the folder, or the name of a bundled example.
+            out: run folder in the folder; by default NAME-scene.
+            options: nested options that differ from the defaults.
+            fast: if True, ask no critics.
+
+        Raises:
+            NeoWorldError: the photograph, the folder or the options are invalid, or another run
+                computes.
+        """
+        out = out or f"{file_name(Path(photo).stem) or 'photo'}-scene"
+        session = _Session(photo=photo, out=out, options=options or {}, fast=fast)
+        with self._lock:
+            if self._computing():
+                assert self._session is not None
+                if session == self._session:
+                    return
+                raise RunError(
+                    f"the run in {self._session.out} computes or waits for you: answer its "
+                    "requests, or restart the server to begin another run"
+                )
+            self._photo(session)
+            if self.path(out) == self.folder:
+                raise RunError(f"out: {out!r} is the folder of this server; name a new folder")
+            self._config(session)
+            self._begin(session)
+            write_inside(self.folder, SESSION, session.model_dump_json(indent=1) + "\n")
+
+    def repeat(self, step: Step) -> None:
+        """Repeat a step of the current run and all later steps.
+
+        Raises:
+            RunError: there is no run, or it still computes.
+        """
+        with self._lock:
+            self.current()
+            if self._computing():
+                raise RunError("the run still computes: answer its requests first; see status()")
+            assert self._session is not None
+            self._begin(self._session, step)
+
+    def current(self) -> Path:
+        """Return the folder of the current run. A run that was cut off continues.
+
+        Raises:
+            NeoWorldError: there is no run, or it cannot continue.
+        """
+        with self._lock:
+            if self._session is None:
+                path = self.folder / SESSION
+                if not path.is_file():
+                    raise RunError("no run: call start(photo) first")
+                session = read_model(path, _Session, RunError, "a session")
+                self.start(session.photo, session.out, session.options, session.fast)
+            assert self._session is not None
+            return self.path(self._session.out)
+
+    def photo(self) -> Path:
+        """Return the photograph of the current run."""
+        self.current()
+        assert self._session is not None
+        return self._photo(self._session)
+
+    def config(self) -> Config:
+        """Return the options of the current run."""
+        self.current()
+        assert self._session is not None
+        return self._config(self._session)
+
+    @property
+    def mailbox(self) -> Path:
+        """The mailbox of the current run."""
+        return self.current() / MAILBOX
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until a request is open or the run has ended; return True in these cases."""
+        mailbox, end = self.mailbox, time.monotonic() + seconds
+        while self._computing():
+            if open_requests(mailbox):
+                return True
+            if time.monotonic() >= end:
+                return False
+            assert self._computation is not None
+            self._computation.ended.wait(min(0.2, seconds))
+        return True
+
+    def progress(self) -> str:
+        """Return the progress of the run that computes; empty if none does."""
+        return self._progress.text() if self._computing() else ""
+
+    def state(self) -> str:
+        """Return the state of the current run in one line."""
+        self.current()
+        assert self._computation is not None and self._session is not None
+        names = open_requests(self.mailbox)
+        if names:
+            return f"{self._session.out}: waits for you: {', '.join(names)}"
+        if self._computing():
+            return f"{self._session.out}: computes: {self._progress.text() or 'starts'}"
+        if self._computation.error:
+            return f"{self._session.out}: stopped: {self._computation.error}"
+        assert self._computation.result is not None
+        return f"{self._session.out}: finished: {self._computation.result.verdict}"
+
+    @property
+    def result(self) -> Result | None:
+        """Result of the current run; None if it computes or has failed."""
+        self.current()
+        return None if self._computation is None else self._computation.result
+
+    def _computing(self) -> bool:
+        return self._computation is not None and not self._computation.ended.is_set()
+
+    def _photo(self, session: _Session) -> Path:
+        from ..pipeline.bundled_examples import bundled_examples
+
+        path = self.path(session.photo)
+        if not path.exists() and session.photo in (examples := bundled_examples()):
+            return examples[session.photo].photo
+        return path
+
+    def _config(self, session: _Session) -> Config:
+        from ..config import merged
+        from ..pipeline.reconstruction import refuse_code
+
+        for key in FIXED:
+            group, _, name = key.partition(".")
+            given = session.options.get(group, {})
+            if group in session.options and (not name or (isinstance(given, dict) and name in given)):
+                raise ConfigError(f"options: {key} is fixed in an agent's run")
+        options = merged(FAST if session.fast else {}, session.options)
+        config = load_config(None, options | {"provider": "mailbox"})
+        refuse_code(config, "options")
+        return config
+
+    def _begin(self, session: _Session, step: Step | None = None) -> None:
+        """Start the thread that computes a run."""
+        self._session, self._computation = session, _Computation()
+        log = logging.getLogger(PACKAGE)
+        if self._progress not in log.handlers:
+            log.addHandler(self._progress)
+            log.setLevel(logging.INFO)
+            logging.getLogger(LOGGER).setLevel(logging.DEBUG)
+        forget_waiting(self.path(session.out) / MAILBOX)
+        # A daemon: the process may end at any time, as a run folder survives that.
+        threading.Thread(
+            target=self._compute, args=(session, self._computation, step), daemon=True
+        ).start()
+
+    def _compute(self, session: _Session, computation: _Computation, step: Step | None) -> None:
+        from ..cache import keep_compilations
+        from ..pipeline import reconstruct
+
+        try:
+            keep_compilations()
+            computation.result = reconstruct(
+                self._photo(session),
+                self.path(session.out),
+                self._config(session),
+                resume=step is None,
+                start=step,
+            )
+        except NeoWorldError as error:
+            computation.error = str(error)
+        except Exception as error:
+            _log.exception("the run failed")
+            computation.error = f"internal: {type(error).__name__}: {error}"
+        finally:
+            computation.ended.set()
+

@@ -1,0 +1,298 @@
+"""Tools of an agent's server: what an agent may do with its run, as text and pictures.
+
+The docstrings are the descriptions that an agent reads. A tool raises NeoWorldError with one line
+that the agent can act on.
+"""
+
+import json
+import math
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..errors import RunError, SpecError, choices
+from ..mllm import Picture
+from ..mllm.mailbox_client import open_requests, read_request, respond
+from ..names import Format, Simulator
+from .agent_run import AgentRun
+
+if TYPE_CHECKING:
+    from ..spec import SceneTree
+
+Content = list[str | Picture]
+READ_S = 120.0
+"""Maximum time until a run reads a response [s]; a run that continues starts to compute first."""
+MAX_WIDTH = 1568
+AGAIN = "(as in an earlier request; next_request(id, repeat=true) returns it again)"
+
+
+class AgentTools:
+    """The tools, for one agent's folder.
+
+    Args:
+        folder: the folder that contains the photographs, runs and exports.
+
+    Raises:
+        RunError: `folder` is no folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.agent_run = AgentRun(folder)
+        self._shown: set[str] = set()
+        """Instructions and schemas that the agent has received."""
+
+    def start(
+        self, photo: str, out: str = "", options: dict[str, Any] | None = None, fast: bool = False
+    ) -> Content:
+        """Begin to reconstruct a photograph, or continue its run. Then call next_request().
+
+        Args:
+            photo: path of the photograph in the server's folder, or the name of a bundled example:
+                coffee, drawers or microwave.
+            out: run folder in the server's folder; default: NAME-scene.
+            options: nested options that differ from the defaults, such as {"seed": 1}.
+            fast: ask for each response once, without critiques: fewer requests, more errors stay.
+        """
+        self.agent_run.start(photo, out, options, fast)
+        self.agent_run.wait(5.0)
+        return self.status()
+
+    def next_request(
+        self, id: str | None = None, repeat: bool = False, wait_s: float = 45.0
+    ) -> Content:
+        """Return an open request: instructions, JSON schema, the request itself, and its pictures.
+
+        Instructions and schemas that you have received before are only named. If no request is
+        open, wait while the run computes.
+
+        Args:
+            id: the request; default: the oldest open one.
+            repeat: return the instructions and the schema again.
+            wait_s: maximum time to wait [s]; after that, call this again.
+        """
+        self.agent_run.wait(min(max(wait_s, 0.0), 600.0))
+        mailbox = self.agent_run.mailbox
+        if id is None and not open_requests(mailbox):
+            return self.status()
+        request = read_request(mailbox, id)
+        parts = [f"# {request.id}", f"{request.title}. Open: {', '.join(open_requests(mailbox))}"]
+        schema = json.dumps(json.loads(request.schema), separators=(",", ":"))
+        for title, text in (("Instructions", request.instructions), ("JSON schema", schema)):
+            parts += [f"## {title}", AGAIN if text in self._shown and not repeat else text]
+            self._shown.add(text)
+        labels = [f"{p.label}: {p.size[0]} x {p.size[1]} px" for p in request.pictures]
+        parts += ["## Pictures, below in this order", "\n".join(labels), "## Request"]
+        return ["\n\n".join([*parts, request.prompt]), *request.pictures]
+
+    def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
+        """Draw the 3D boxes of a response to a request for a scene, and check its numbers.
+
+        2D boxes are thick, 3D boxes are thin, and a line leads from each base to the object's
+        front. "3D box" is the box of the projected outline [px].
+
+        Args:
+            response: the response, as for submit().
+            id: the request; default: the oldest open one.
+        """
+        from ..parse.photo import load_photo
+        from ..parse.preview import number_lines, preview
+
+        request = read_request(self.agent_run.mailbox, id)
+        if "objects" not in json.loads(request.schema).get("properties", {}):
+            raise SpecError(f"{request.id} asks for no scene; build() tries programs")
+        photo = load_photo(sorted((self.agent_run.mailbox / request.id).glob("1-*.*g"))[0])
+        shown = preview(photo, json.dumps(response), request.prompt)
+        return ["\n".join(number_lines(shown.objects, shown.issues)), shown.picture]
+
+    def submit(self, id: str, response: dict[str, Any]) -> Content:
+        """Answer a request. A response that does not fit is rejected with all of its mistakes.
+
+        Args:
+            id: the request, such as "0001-parse".
+            response: one JSON object that fits the request's schema.
+        """
+        text = json.dumps(response, ensure_ascii=False)
+        reason = respond(self.agent_run.mailbox, id, text, timeout_s=READ_S)
+        if reason:
+            raise SpecError(f"rejected: {reason}")
+        self.agent_run.wait(2.0)
+        return [f"accepted\n{self.agent_run.state()}"]
+
+    def build(self, program: str, object: str) -> Content:
+        """Run an object program in the sandbox, check and draw it; nothing is submitted.
+
+        The pictures show the crop of the photograph, the object in the same frame, and, if parts
+        move, the object with open joints.
+
+        Args:
+            program: text of the program.
+            object: name of the object in the parsed scene.
+        """
+        from ..parse.crops import crops
+        from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
+        from ..program.sandbox import build
+        from ..program.stages import compare_to_node
+        from ..program.views import draw, draw_in_place
+        from ..spec import bounds, inertial
+
+        config, tree = self.agent_run.config(), _tree(self.agent_run.current())
+        names = [node.name for node in tree.nodes]
+        if object not in names:
+            raise SpecError(f"object: {choices(object, names)}")
+        built, node = build(program, config.program), tree.node(object)
+        rows = [f"printed: {built.printed}"] if built.printed else []
+        if (spec := built.spec) is None:
+            return ["\n".join(["does not build", *rows, *(s.phrase() for s in built.signals)])]
+        low, high = bounds(spec)
+        masses = ", ".join(f"{part.name} {inertial(spec, part).mass:.3g} kg" for part in spec.parts)
+        rows += [f"size: {' x '.join(f'{v:.3f}' for v in (high - low).tolist())} m; {masses}"]
+        rows += [
+            f"joint {j.name}: {j.type}, {j.child} on {j.parent}, {j.lower:.3g} to {j.upper:.3g}"
+            for j in spec.joints
+        ]
+        rows += [s.phrase() for s in (*built.signals, *compare_to_node(spec, node))]
+        photo = load_photo(self.agent_run.photo(), config.parse.max_side_px, MODEL_MIN_SIDE_PX)
+        crop = crops(photo, tree)[object]
+        pictures = [crop.picture, draw_in_place(spec, node, tree.camera, crop.window)]
+        if any(joint.type != "fixed" for joint in spec.joints):
+            pictures.append(draw(spec, node, tree.camera, opened=True))
+        labels = ", ".join(picture.label for picture in pictures)
+        return ["\n".join(["builds" if built.ok else "fails", *rows, labels]), *pictures]
+
+    def status(self) -> Content:
+        """Return the state of the run: open requests, progress, or the verdict with reasons."""
+        from .result_lines import run_lines
+
+        state, result = self.agent_run.state(), self.agent_run.result
+        rows = [] if result is None else run_lines(result.summary())[1:]
+        return ["\n".join([state, *rows])]
+
+    def render(
+        self,
+        view: Literal["photo", "around"] = "photo",
+        azimuth_deg: float = 215.0,
+        elevation_deg: float = 28.0,
+        objects: tuple[str, ...] = (),
+        width: int = 900,
+    ) -> Content:
+        """Render the scene of the run, composed or refined.
+
+        Args:
+            view: "photo" is the photograph's camera, with the photograph beside it; "around" frames
+                the objects from azimuth and elevation, where 180 is the photograph's direction.
+            azimuth_deg: azimuth of the camera [deg].
+            elevation_deg: elevation of the camera [deg].
+            objects: objects that the view frames; default: all.
+            width: width of the image [px].
+        """
+        from .picture_commands import RenderCommand
+
+        out, width = self.agent_run.current(), min(width, MAX_WIDTH)
+        direction = {"azimuth": azimuth_deg, "elevation": elevation_deg, "object": objects}
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "render.png"
+            chosen: dict[str, Any] = direction if view == "around" else {}
+            RenderCommand(target=out, out=file, width=width, **chosen).run()
+            pictures = [Picture("render", file.read_bytes())]
+        if view == "photo":
+            pictures.append(Picture("photo", (out / "photo.png").read_bytes()))
+        return [", then ".join(picture.label for picture in pictures), *pictures]
+
+    def check(self) -> Content:
+        """Check the scene, and list each check with its value and threshold."""
+        from .object_commands import CheckCommand
+        from .terminal import details
+
+        command = CheckCommand(target=self.agent_run.current())
+        result = command.run()
+        return ["\n".join([*command.lines(result)[:-1], *details({"checks": result["checks"]})])]
+
+    def edit(
+        self,
+        object: str,
+        xy: tuple[float, float] | None = None,
+        yaw_deg: float | None = None,
+        joints: dict[str, float] | None = None,
+        program: str | None = None,
+    ) -> Content:
+        """Change an object of a finished run, and compute the later steps again.
+
+        Without changes, return the object's pose and joints.
+
+        Args:
+            object: name of the object.
+            xy: position in its parent's frame [m].
+            yaw_deg: heading in its parent's frame [deg].
+            joints: positions by joint [rad or m].
+            program: another program; the object is scaled to its size in the photograph.
+        """
+        from ..compose.layout_patch import ObjectPlacement, read_layout_patch, write_layout_patch
+        from ..io.files import write_inside
+        from ..program.ask import written_without_model
+        from ..program.sandbox import build
+        from ..spec import read_scene
+
+        out = self.agent_run.current()
+        if self.agent_run.result is None:
+            raise RunError(f"the run has not finished: {self.agent_run.state()}")
+        scene = {item.name: item for item in read_scene(out).objects}
+        if object not in scene:
+            raise SpecError(f"object: {choices(object, scene)}")
+        item, change = scene[object], dict[str, Any]()
+        for joint in joints or {}:
+            if joint not in item.joint_state:
+                raise SpecError(f"joints: {choices(joint, item.joint_state)}")
+        change |= {} if xy is None else {"xy": xy}
+        change |= {} if yaw_deg is None else {"yaw": math.radians(yaw_deg)}
+        change |= {} if not joints else {"joint_state": joints}
+        if not change and program is None:
+            x, y = item.xy
+            pose = f"xy [{x:.4f}, {y:.4f}], yaw_deg {math.degrees(item.yaw):.2f}"
+            return [f"{object} on {item.parent}: {pose}, joints {json.dumps(item.joint_state)}"]
+        if program is not None:
+            built = build(program, self.agent_run.config().program)
+            if not built.ok:
+                raise SpecError("; ".join(signal.phrase() for signal in built.signals))
+            for file, text in written_without_model("edit", program, built).files().items():
+                write_inside(out, f"objects/{object}/{file}", text)
+        if change:
+            patch = read_layout_patch(out).merged(object, ObjectPlacement(**change))
+            write_layout_patch(out, patch)
+        self.agent_run.repeat("compose" if program is None else "verify")
+        self.agent_run.wait(5.0)
+        return self.status()
+
+    def export(
+        self,
+        formats: tuple[Format, ...] = (),
+        simulator: Simulator | None = None,
+        out: str = "",
+    ) -> Content:
+        """Export the scene; list the files, and what the formats cannot hold.
+
+        Args:
+            formats: default: all, or those that suit the simulator best.
+            simulator: simulator for which the files are written.
+            out: new folder in the server's folder; default: RUN-export.
+        """
+        from .export_command import ExportCommand
+
+        target = self.agent_run.current()
+        folder = self.agent_run.path(out or f"{target.name}-export")
+        command = ExportCommand(target=target, out=folder, format=formats, simulator=simulator)
+        result = command.run()
+        named = [file for file in map(str, result["files"]) if "meshes/" not in file]
+        return ["\n".join([*command.lines(result)[:-1], *named])]
+
+
+TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))
+"""Names of the tools."""
+
+
+def _tree(out: Path) -> "SceneTree":
+    from ..io import read_model
+    from ..spec import SceneTree
+
+    if not (out / "tree.json").is_file():
+        raise RunError("the photograph is not parsed yet: answer the request for the scene first")
+    return read_model(out / "tree.json", SceneTree, SpecError, "a scene tree")
