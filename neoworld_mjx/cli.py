@@ -144,7 +144,9 @@ def run(command: "Command") -> int:
         if "error" in result:
             print(f"error: {printable(str(result['error']))}", file=sys.stderr)
         try:
-            if command.json:
+            if command.owns_stdout:
+                pass
+            elif command.json:
                 # NaN and Infinity are not JSON and become null.
                 strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
                 print(json.dumps(strict), file=out)

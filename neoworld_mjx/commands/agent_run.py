@@ -16,7 +16,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from ..config import Config, load_config
-from ..errors import ConfigError, NeoWorldError, RunError
+from ..errors import ConfigError, NeoWorldError, PhotoError, RunError
 from ..io import read_model
 from ..io.files import write_inside
 from ..io.names import file_name
@@ -204,6 +204,11 @@ class AgentRun:
         return f"{self._session.out}: finished: {self._computation.result.verdict}"
 
     @property
+    def error(self) -> str:
+        """Reason why the current run has stopped; empty if it has not, or has finished."""
+        return "" if self._computation is None else self._computation.error
+
+    @property
     def result(self) -> Result | None:
         """Result of the current run; None if it computes or has failed."""
         self.current()
@@ -215,10 +220,15 @@ class AgentRun:
     def _photo(self, session: _Session) -> Path:
         from ..pipeline.bundled_examples import bundled_examples
 
-        path = self.path(session.photo)
-        if not path.exists() and session.photo in (examples := bundled_examples()):
-            return examples[session.photo].photo
-        return path
+        path, examples = self.path(session.photo), bundled_examples()
+        if path.is_file():
+            return path
+        if session.photo not in examples:
+            raise PhotoError(
+                f"photo: {session.photo!r} is neither a file in {self.folder} nor an example: "
+                f"{', '.join(examples)}"
+            )
+        return examples[session.photo].photo
 
     def _config(self, session: _Session) -> Config:
         from ..config import merged
@@ -227,7 +237,9 @@ class AgentRun:
         for key in FIXED:
             group, _, name = key.partition(".")
             given = session.options.get(group, {})
-            if group in session.options and (not name or (isinstance(given, dict) and name in given)):
+            if group in session.options and (
+                not name or (isinstance(given, dict) and name in given)
+            ):
                 raise ConfigError(f"options: {key} is fixed in an agent's run")
         options = merged(FAST if session.fast else {}, session.options)
         config = load_config(None, options | {"provider": "mailbox"})
@@ -268,4 +280,3 @@ class AgentRun:
             computation.error = f"internal: {type(error).__name__}: {error}"
         finally:
             computation.ended.set()
-

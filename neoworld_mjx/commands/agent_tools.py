@@ -55,6 +55,8 @@ class AgentTools:
         """
         self.agent_run.start(photo, out, options, fast)
         self.agent_run.wait(5.0)
+        if self.agent_run.error:
+            raise RunError(self.agent_run.state())
         return self.status()
 
     def next_request(
@@ -76,13 +78,36 @@ class AgentTools:
             return self.status()
         request = read_request(mailbox, id)
         parts = [f"# {request.id}", f"{request.title}. Open: {', '.join(open_requests(mailbox))}"]
-        schema = json.dumps(json.loads(request.schema), separators=(",", ":"))
+        schema = json.dumps(_untitled(json.loads(request.schema)), separators=(",", ":"))
         for title, text in (("Instructions", request.instructions), ("JSON schema", schema)):
             parts += [f"## {title}", AGAIN if text in self._shown and not repeat else text]
             self._shown.add(text)
         labels = [f"{p.label}: {p.size[0]} x {p.size[1]} px" for p in request.pictures]
         parts += ["## Pictures, below in this order", "\n".join(labels), "## Request"]
         return ["\n\n".join([*parts, request.prompt]), *request.pictures]
+
+    def zoom(
+        self,
+        box: tuple[float, float, float, float],
+        picture: int = 1,
+        id: str | None = None,
+    ) -> Content:
+        """Enlarge a region of a request's picture; rulers give pixels of the whole picture.
+
+        Args:
+            box: left, top, right and bottom of the region [px].
+            picture: number of the picture in the request.
+            id: the request; default: the oldest open one.
+        """
+        from ..parse.draw import draw_region
+
+        request = read_request(self.agent_run.mailbox, id)
+        if not 1 <= picture <= len(request.pictures):
+            valid = range(1, len(request.pictures) + 1)
+            raise SpecError(f"picture: {choices(str(picture), valid)}")
+        if not all(math.isfinite(value) for value in box):
+            raise SpecError("box: all four numbers must be finite")
+        return [request.id, draw_region(request.pictures[picture - 1], box)]
 
     def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
         """Draw the 3D boxes of a response to a request for a scene, and check its numbers.
@@ -287,6 +312,19 @@ class AgentTools:
 
 TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))
 """Names of the tools."""
+
+
+def _untitled(schema: Any) -> Any:
+    """Return a schema without titles, which repeat the names of classes and fields."""
+    if isinstance(schema, list):
+        return [_untitled(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {
+        key: _untitled(value)
+        for key, value in schema.items()
+        if key != "title" or not isinstance(value, str)
+    }
 
 
 def _tree(out: Path) -> "SceneTree":

@@ -199,8 +199,8 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
         for name, picture in zip(files, request.pictures, strict=True)
     )
     previewed = (
-        " Before that, `neoworld preview draft.json` draws the 3D boxes of a response in draft.json "
-        "in this folder on the photograph, and lists what the checks find."
+        " Before that, `neoworld preview draft.json` draws the 3D boxes of a response on the "
+        "photograph and lists what the checks find; draft.json must be in this folder."
     )
     return (
         f"# {request.name} ({request.role})\n\n{request.system}"

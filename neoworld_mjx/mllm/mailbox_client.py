@@ -5,7 +5,6 @@ of the mailbox, and links are not followed.
 """
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -114,7 +113,9 @@ def _folder(mailbox: Path, name: str | None) -> Path:
     if name is None or name not in names:
         if name is not None and not names:
             raise ModelError(f"no request is open, got {name!r}")
-        raise ModelError("no request is open" if name is None else f"request: {choices(name, names)}")
+        raise ModelError(
+            "no request is open" if name is None else f"request: {choices(name, names)}"
+        )
     return mailbox / name
 
 

@@ -36,8 +36,8 @@ Region = tuple[int, int, int, int]
 def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) -> Picture:
     """Draw a parsed scene on the resized picture.
 
-    Objects on the same support share a color. Boxes of partly hidden objects are dashed. Boxes of
-    environment supports are thin and gray.
+    Objects on the same support share a color; with 3D boxes, neighbors in the list differ in color.
+    Boxes of partly hidden objects are dashed. Boxes of environment supports are thin and gray.
 
     Args:
         photo: the photograph.
@@ -48,7 +48,7 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
-    colours = _colours(tree)
+    colours = _colours(tree, by_support=not draw_3d_boxes)
     glyph = 1 if max(width, height) < 900 else 2
     line = max(2, round(max(width, height) / 400))
     if draw_3d_boxes:
@@ -68,10 +68,13 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
     return Picture.of("parse", canvas)
 
 
-def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
-    supports = list(dict.fromkeys(node.parent for node in tree.nodes if not node.environment))
+def _colours(tree: SceneTree, *, by_support: bool) -> dict[str, tuple[int, int, int]]:
+    groups = {node.name: node.parent if by_support else node.name for node in tree.nodes}
+    order = list(dict.fromkeys(groups[node.name] for node in tree.nodes if not node.environment))
     return {
-        node.name: GREY if node.environment else COLOURS[supports.index(node.parent) % len(COLOURS)]
+        node.name: GREY
+        if node.environment
+        else COLOURS[order.index(groups[node.name]) % len(COLOURS)]
         for node in tree.nodes
     }
 
@@ -191,6 +194,37 @@ def _stamp(
     mask = tag[: under.shape[0], : under.shape[1]]
     under[~mask] = colour
     under[mask] = 0
+
+
+def draw_region(
+    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 900
+) -> Picture:
+    """Enlarge a region of a picture, with rulers whose numbers are pixels of the whole picture.
+
+    Args:
+        picture: the picture.
+        box: left, top, right and bottom of the region [px]; it is clipped at the picture's edges.
+        shown_px: approximate length of the longer side of the result [px].
+    """
+    width, height = picture.size
+    left, right = sorted(min(max(round(value), 0), width) for value in box[::2])
+    top, bottom = sorted(min(max(round(value), 0), height) for value in box[1::2])
+    left, top = min(left, width - 2), min(top, height - 2)
+    right, bottom = max(right, left + 2), max(bottom, top + 2)
+    factor = max(1, shown_px // max(right - left, bottom - top))
+    region = Image.fromarray(picture.rgb[top:bottom, left:right])
+    size = region.width * factor, region.height * factor
+    canvas = np.array(region.resize(size, Image.Resampling.BICUBIC))
+    step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if s * factor >= 40)
+    for axis, (low, high) in enumerate(((left, right), (top, bottom))):
+        for value in range(-(-low // step) * step, high, step):
+            at, tag = (value - low) * factor, _tag(str(value), 1)
+            spots = (slice(0, 8), at) if axis == 0 else (at, slice(0, 8))
+            canvas[spots] = COLOURS[0]
+            corner = (at + 2, 0) if axis == 0 else (8, max(at - tag.shape[0] // 2, 0))
+            if corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]:
+                _stamp(canvas, tag, corner, COLOURS[3])
+    return Picture.of("zoom", canvas)
 
 
 def _edges(
