@@ -15,7 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ..config import Config, load_config
+from ..config import WITHOUT_CRITICS, Config, load_config, merged
 from ..errors import ConfigError, NeoWorldError, PhotoError, RunError
 from ..io import read_model
 from ..io.files import write_inside
@@ -31,12 +31,6 @@ PACKAGE = __name__.partition(".")[0]
 SESSION = ".neoworld-agent.json"
 FIXED = ("provider", "mllm", "files", "program.language")
 """Options that an agent may not set: they name servers and files, or run programs elsewhere."""
-FAST: dict[str, Any] = {
-    "parse": {"critic_rounds": 0},
-    "program": {"critic_rounds": 0},
-    "verify": {"critic": "never"},
-}
-"""Options of a run without critics: one request for the parse, and one for each program."""
 MAILBOX = "mailbox"
 
 
@@ -231,7 +225,6 @@ class AgentRun:
         return examples[session.photo].photo
 
     def _config(self, session: _Session) -> Config:
-        from ..config import merged
         from ..pipeline.reconstruction import refuse_code
 
         for key in FIXED:
@@ -241,7 +234,7 @@ class AgentRun:
                 not name or (isinstance(given, dict) and name in given)
             ):
                 raise ConfigError(f"options: {key} is fixed in an agent's run")
-        options = merged(FAST if session.fast else {}, session.options)
+        options = merged(WITHOUT_CRITICS if session.fast else {}, session.options)
         config = load_config(None, options | {"provider": "mailbox"})
         refuse_code(config, "options")
         return config

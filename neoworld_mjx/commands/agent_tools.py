@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..errors import RunError, SpecError, choices
 from ..mllm import Picture
 from ..mllm.mailbox_client import open_requests, read_request, respond
+from ..mllm.requests import without_titles
 from ..names import Format, Simulator
 from .agent_run import AgentRun
 
@@ -78,7 +79,7 @@ class AgentTools:
             return self.status()
         request = read_request(mailbox, id)
         parts = [f"# {request.id}", f"{request.title}. Open: {', '.join(open_requests(mailbox))}"]
-        schema = json.dumps(_untitled(json.loads(request.schema)), separators=(",", ":"))
+        schema = json.dumps(without_titles(json.loads(request.schema)), separators=(",", ":"))
         for title, text in (("Instructions", request.instructions), ("JSON schema", schema)):
             parts += [f"## {title}", AGAIN if text in self._shown and not repeat else text]
             self._shown.add(text)
@@ -312,19 +313,6 @@ class AgentTools:
 
 TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))
 """Names of the tools."""
-
-
-def _untitled(schema: Any) -> Any:
-    """Return a schema without titles, which repeat the names of classes and fields."""
-    if isinstance(schema, list):
-        return [_untitled(item) for item in schema]
-    if not isinstance(schema, dict):
-        return schema
-    return {
-        key: _untitled(value)
-        for key, value in schema.items()
-        if key != "title" or not isinstance(value, str)
-    }
 
 
 def _tree(out: Path) -> "SceneTree":

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -24,6 +24,10 @@ class ReconstructCommand(ConfiguredCommand):
     """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
     """Source of the models' responses: auto, anthropic, openai, replay or mailbox."""
+    model: str | None = None
+    """Name of the model that plays all roles, as its provider calls it."""
+    fast: bool = False
+    """Ask for each response once, without critics: fewer requests, but more errors stay."""
     engine: EngineChoice | None = None
     """Physics engine of the refine step."""
     seed: int | None = None
@@ -49,12 +53,19 @@ class ReconstructCommand(ConfiguredCommand):
     def run(self) -> CommandResult:
         """Run the five steps."""
         from ..cache import keep_compilations
+        from ..config import WITHOUT_CRITICS, Role
         from ..pipeline import reconstruct
         from ..pipeline.bundled_examples import photo_of
 
-        config = self.load_config(
-            {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
-        )
+        flags: dict[str, Any] = {
+            "provider": self.provider,
+            "refine.rollout.engine": self.engine,
+            "seed": self.seed,
+            **{f"mllm.{role}.model": self.model for role in get_args(Role)},
+        }
+        for group, options in WITHOUT_CRITICS.items() if self.fast else ():
+            flags |= {f"{group}.{key}": value for key, value in options.items()}
+        config = self.load_config(flags)
         keep_compilations()
         result = reconstruct(
             photo_of(self.photo),

@@ -175,6 +175,11 @@ class Request(Generic[T]):
         return json.loads(text)
 
     @cached_property
+    def schema_text(self) -> str:
+        """The schema as short JSON without titles, which repeat the names of classes and fields."""
+        return json.dumps(without_titles(self.json_schema), separators=(",", ":"), sort_keys=True)
+
+    @cached_property
     def parts(self) -> dict[str, str]:
         """Digest of each part of the content, by which a message names the parts that differ."""
         pictures = [[picture.label, picture.pixels] for picture in self.pictures]
@@ -296,8 +301,21 @@ class Provider(Protocol):
 
 def response_rule(request: Request[Any]) -> str:
     """Return instructions with the JSON schema, for servers that do not enforce a schema."""
-    schema = json.dumps(request.json_schema, sort_keys=True)
-    return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"
+    rule = "Give one JSON object and nothing else; it must fit this JSON schema:"
+    return f"{rule}\n{request.schema_text}"
+
+
+def without_titles(schema: Any) -> Any:
+    """Return a JSON schema without the titles of its objects and fields."""
+    if isinstance(schema, list):
+        return [without_titles(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {
+        key: without_titles(value)
+        for key, value in schema.items()
+        if key != "title" or not isinstance(value, str)
+    }
 
 
 async def ask_or_record(

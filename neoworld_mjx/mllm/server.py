@@ -23,6 +23,10 @@ from .requests import MAX_BODY_BYTES, Picture, Rejection, Reply, Request, respon
 RETRIES = 4
 """Maximum number of retries of a call after transient errors: rate limits, overload, lost
 connections. The SDKs wait between 0.5 and 8 s before a retry, or as long as the server asks."""
+CACHE_S = 4.0
+"""Time by which the first of several requests with the same instructions precedes the others [s].
+A server's prompt cache contains the instructions only when it begins to respond to a request that
+contains them; until then, each request would be billed for writing them."""
 CONNECT_S = 10.0
 """Maximum time to connect to a server [s]."""
 _MAX_PICTURE_BYTES = 3_500_000
@@ -59,6 +63,8 @@ class ServerProvider(ABC):
         self._client: Any = None
         self._rejected_schemas: set[tuple[str, str]] = set()
         """Model and digest of each schema that the server rejected."""
+        self._cached: dict[tuple[str, str, str], asyncio.Event] = {}
+        """For each model, instructions and schema, whether the server's cache contains them."""
 
     @abstractmethod
     def _new_client(self) -> Any:
@@ -84,6 +90,22 @@ class ServerProvider(ABC):
         """
         if self._client is None:
             self._client = self._new_client()
+        prefix = (role.model, request.parts["system"], request.parts["schema"])
+        cached = self._cached.get(prefix)
+        if cached is not None:
+            await cached.wait()
+            return await self._reply(request, role, rejected)
+        cached = self._cached[prefix] = asyncio.Event()
+        timer = asyncio.get_running_loop().call_later(CACHE_S, cached.set)
+        try:
+            return await self._reply(request, role, rejected)
+        finally:
+            timer.cancel()
+            cached.set()
+
+    async def _reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
         schema = (role.model, request.parts["schema"])
         while True:
             enforced = schema not in self._rejected_schemas
