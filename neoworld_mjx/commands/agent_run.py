@@ -79,8 +79,9 @@ class AgentRun:
         """
         try:
             path = (self.folder / text).resolve()
+            path.exists()  # Raises OSError if the system refuses the name.
         except (OSError, ValueError, RuntimeError):
-            raise RunError(f"{text!r} is not a path") from None
+            raise RunError(f"{text[:80]!r} is not a path") from None
         if not path.is_relative_to(self.folder):
             raise RunError(
                 f"{text!r} is outside the folder of this server, {self.folder}: copy the file "
@@ -241,13 +242,13 @@ class AgentRun:
 
     def _begin(self, session: _Session, step: Step | None = None) -> None:
         """Start the thread that computes a run."""
+        forget_waiting(self.path(session.out) / MAILBOX)
         self._session, self._computation = session, _Computation()
         log = logging.getLogger(PACKAGE)
         if self._progress not in log.handlers:
             log.addHandler(self._progress)
             log.setLevel(logging.INFO)
             logging.getLogger(LOGGER).setLevel(logging.DEBUG)
-        forget_waiting(self.path(session.out) / MAILBOX)
         # A daemon: the process may end at any time, as a run folder survives that.
         threading.Thread(
             target=self._compute, args=(session, self._computation, step), daemon=True

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 Content = list[str | Picture]
 READ_S = 120.0
 """Maximum time until a run reads a response [s]; a run that continues starts to compute first."""
-MAX_WIDTH = 1568
+WIDTHS = range(16, 1569)
+"""Valid widths of a rendered image [px]."""
+FARTHEST_M = 100.0
+"""Maximum distance of an edited object from its parent's origin, along each axis [m]."""
 AGAIN = "(as in an earlier request; next_request(id, repeat=true) returns it again)"
 
 
@@ -213,7 +216,9 @@ class AgentTools:
         """
         from .picture_commands import RenderCommand
 
-        out, width = self.agent_run.current(), min(width, MAX_WIDTH)
+        out = self.agent_run.current()
+        if width not in WIDTHS:
+            raise SpecError(f"width: got {width}, valid is from {WIDTHS[0]} to {WIDTHS[-1]}")
         direction = {"azimuth": azimuth_deg, "elevation": elevation_deg, "object": objects}
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "render.png"
@@ -265,9 +270,16 @@ class AgentTools:
         if object not in scene:
             raise SpecError(f"object: {choices(object, scene)}")
         item, change = scene[object], dict[str, Any]()
-        for joint in joints or {}:
+        limited = ("revolute", "prismatic")
+        ranges = {j.name: (j.lower, j.upper) for j in item.spec.joints if j.type in limited}
+        for joint, value in (joints or {}).items():
             if joint not in item.joint_state:
                 raise SpecError(f"joints: {choices(joint, item.joint_state)}")
+            low, high = ranges.get(joint, (value, value))
+            if not low <= value <= high:
+                raise SpecError(f"joints: {joint}: got {value:g}, valid is {low:g} to {high:g}")
+        if xy is not None and max(map(abs, xy)) > FARTHEST_M:
+            raise SpecError(f"xy: got {list(xy)}, valid is up to {FARTHEST_M:g} m")
         change |= {} if xy is None else {"xy": xy}
         change |= {} if yaw_deg is None else {"yaw": math.radians(yaw_deg)}
         change |= {} if not joints else {"joint_state": joints}

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ..errors import ConfigError, NeoWorldError, RunError
+from ..errors import ConfigError, NeoWorldError, RunError, system_refusal
 from .base_command import Command, CommandResult
 
 if TYPE_CHECKING:
@@ -184,3 +184,7 @@ def _outcome(method: Callable[..., list[Any]], arguments: dict[str, Any]) -> Any
         return method(**arguments)
     except NeoWorldError as error:
         return error
+    except OSError as error:
+        if (refusal := system_refusal(error)) is None:
+            raise
+        return RunError(refusal)

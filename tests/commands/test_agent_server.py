@@ -198,6 +198,10 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             _, pictures = await coffee.call("render", view="around", objects=["cup"], width=200)
             assert len(pictures) == 1
             assert "cap" in await refused(coffee.call("render", view="around", objects=["cap"]))
+            for width in (-5, 10**9):
+                assert "from 16 to 1568" in await refused(coffee.call("render", width=width))
+            long = {"formats": ["mjcf"], "out": "x" * 300}
+            assert "is not a path" in await refused(coffee.call("export", **long))
             text, _ = await coffee.call("export", formats=["urdf"], out="robot/scene")
             assert "objects/cup/object.urdf" in text
             assert "is not empty" in await refused(coffee.call("export", out="robot/scene"))
@@ -208,6 +212,7 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
                 ({"object": "cup", "joints": {"lid": 1}}, "joints: got 'lid', valid are: none"),
                 ({"object": "cup", "program": "import os"}, "exactly one Object"),
                 ({"object": "cup", "xy": ["far", 1]}, "xy.0"),
+                ({"object": "cup", "xy": [1e300, 1]}, "valid is up to 100 m"),
             ):
                 assert message in await refused(coffee.call("edit", **change))
             cup = folder / "coffee-scene" / "objects" / "cup"
@@ -252,6 +257,7 @@ HOSTILE = {
     "a path above": ({"photo": "../photo.png"}, "outside the folder of this server"),
     "an absolute path": ({"photo": "/etc/passwd"}, "outside the folder of this server"),
     "a link out": ({"photo": "link.png"}, "outside the folder of this server"),
+    "a long path": ({"photo": "p.png", "out": "x" * 300}, "is not a path"),
     "no path": ({"photo": "a\0b"}, "is not a path"),
     "a run outside": ({"photo": "p.png", "out": "../run"}, "outside the folder of this server"),
     "the folder itself": ({"photo": "p.png", "out": "."}, "name a new folder"),
