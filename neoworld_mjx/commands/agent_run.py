@@ -47,6 +47,7 @@ class _Session(BaseModel):
 class _Computation:
     """A reconstruction in a thread."""
 
+    session: _Session
     ended: threading.Event = field(default_factory=threading.Event)
     result: Result | None = None
     error: str = ""
@@ -66,8 +67,7 @@ class AgentRun:
         if not folder.is_dir():
             raise RunError(f"{folder} is not a folder; name the folder of your photographs")
         self.folder = folder.resolve()
-        self._session: _Session | None = None
-        self._computation: _Computation | None = None
+        self._latest: _Computation | None = None
         self._lock = threading.RLock()
         self._progress = StatusLine(io.StringIO(), quiet=True)
 
@@ -107,12 +107,11 @@ class AgentRun:
         out = out or f"{file_name(Path(photo).stem) or 'photo'}-scene"
         session = _Session(photo=photo, out=out, options=options or {}, fast=fast)
         with self._lock:
-            if self._computing():
-                assert self._session is not None
-                if session == self._session:
+            if self._latest is not None and not self._latest.ended.is_set():
+                if session == self._latest.session:
                     return
                 raise RunError(
-                    f"the run in {self._session.out} computes or waits for you: answer its "
+                    f"the run in {self._latest.session.out} computes or waits for you: answer its "
                     "requests, or restart the server to begin another run"
                 )
             self._photo(session)
@@ -129,11 +128,9 @@ class AgentRun:
             RunError: there is no run, or it still computes.
         """
         with self._lock:
-            self.current()
-            if self._computing():
+            if not self._current().ended.is_set():
                 raise RunError("the run still computes: answer its requests first; see status()")
-            assert self._session is not None
-            self._begin(self._session, step)
+            self._begin(self._current().session, step)
 
     def current(self) -> Path:
         """Return the folder of the current run. A run that was cut off continues.
@@ -141,76 +138,70 @@ class AgentRun:
         Raises:
             NeoWorldError: there is no run, or it cannot continue.
         """
+        return self.path(self._current().session.out)
+
+    def photo(self) -> Path:
+        """Return the photograph of the current run."""
+        return self._photo(self._current().session)
+
+    def config(self) -> Config:
+        """Return the options of the current run."""
+        return self._config(self._current().session)
+
+    @property
+    def mailbox(self) -> Path:
+        """The mailbox of the current run."""
+        return self._mailbox(self._current().session)
+
+    @property
+    def error(self) -> str:
+        """Reason why the current run has stopped; empty if it has not, or has finished."""
+        return self._current().error
+
+    @property
+    def result(self) -> Result | None:
+        """Result of the current run; None if it computes or has failed."""
+        return self._current().result
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until a request is open or the run has ended; return True in these cases."""
+        mailbox, ended, end = self.mailbox, self._current().ended, time.monotonic() + seconds
+        while not (ended.is_set() or open_requests(mailbox)):
+            if time.monotonic() >= end:
+                return False
+            ended.wait(min(0.2, seconds))
+        return True
+
+    def progress(self) -> str:
+        """Return the progress of the run that computes; empty if none does."""
+        computes = self._latest is not None and not self._latest.ended.is_set()
+        return self._progress.text() if computes else ""
+
+    def state(self) -> str:
+        """Return the state of the current run in one line."""
+        run = self._current()
+        if not run.ended.is_set():
+            names = open_requests(self._mailbox(run.session))
+            progress = self._progress.text() or "starts"
+            state = f"waits for you: {', '.join(names)}" if names else f"computes: {progress}"
+        else:
+            result = run.result
+            state = f"stopped: {run.error}" if result is None else f"finished: {result.verdict}"
+        return f"{run.session.out}: {state}"
+
+    def _current(self) -> _Computation:
         with self._lock:
-            if self._session is None:
+            if self._latest is None:
                 path = self.folder / SESSION
                 if not path.is_file():
                     raise RunError("no run: call start(photo) first")
                 session = read_model(path, _Session, RunError, "a session")
                 self.start(session.photo, session.out, session.options, session.fast)
-            assert self._session is not None
-            return self.path(self._session.out)
+            assert self._latest is not None
+            return self._latest
 
-    def photo(self) -> Path:
-        """Return the photograph of the current run."""
-        self.current()
-        assert self._session is not None
-        return self._photo(self._session)
-
-    def config(self) -> Config:
-        """Return the options of the current run."""
-        self.current()
-        assert self._session is not None
-        return self._config(self._session)
-
-    @property
-    def mailbox(self) -> Path:
-        """The mailbox of the current run."""
-        return self.current() / MAILBOX
-
-    def wait(self, seconds: float) -> bool:
-        """Wait until a request is open or the run has ended; return True in these cases."""
-        mailbox, end = self.mailbox, time.monotonic() + seconds
-        while self._computing():
-            if open_requests(mailbox):
-                return True
-            if time.monotonic() >= end:
-                return False
-            assert self._computation is not None
-            self._computation.ended.wait(min(0.2, seconds))
-        return True
-
-    def progress(self) -> str:
-        """Return the progress of the run that computes; empty if none does."""
-        return self._progress.text() if self._computing() else ""
-
-    def state(self) -> str:
-        """Return the state of the current run in one line."""
-        self.current()
-        assert self._computation is not None and self._session is not None
-        names = open_requests(self.mailbox)
-        if names:
-            return f"{self._session.out}: waits for you: {', '.join(names)}"
-        if self._computing():
-            return f"{self._session.out}: computes: {self._progress.text() or 'starts'}"
-        if self._computation.error:
-            return f"{self._session.out}: stopped: {self._computation.error}"
-        assert self._computation.result is not None
-        return f"{self._session.out}: finished: {self._computation.result.verdict}"
-
-    @property
-    def error(self) -> str:
-        """Reason why the current run has stopped; empty if it has not, or has finished."""
-        return "" if self._computation is None else self._computation.error
-
-    @property
-    def result(self) -> Result | None:
-        """Result of the current run; None if it computes or has failed."""
-        self.current()
-        return None if self._computation is None else self._computation.result
-
-    def _computing(self) -> bool:
-        return self._computation is not None and not self._computation.ended.is_set()
+    def _mailbox(self, session: _Session) -> Path:
+        return self.path(f"{session.out}/{MAILBOX}")
 
     def _photo(self, session: _Session) -> Path:
         from ..pipeline.bundled_examples import bundled_examples
@@ -242,22 +233,21 @@ class AgentRun:
 
     def _begin(self, session: _Session, step: Step | None = None) -> None:
         """Start the thread that computes a run."""
-        forget_waiting(self.path(session.out) / MAILBOX)
-        self._session, self._computation = session, _Computation()
+        forget_waiting(self._mailbox(session))
+        self._latest = _Computation(session)
         log = logging.getLogger(PACKAGE)
         if self._progress not in log.handlers:
             log.addHandler(self._progress)
             log.setLevel(logging.INFO)
             logging.getLogger(LOGGER).setLevel(logging.DEBUG)
         # A daemon: the process may end at any time, as a run folder survives that.
-        threading.Thread(
-            target=self._compute, args=(session, self._computation, step), daemon=True
-        ).start()
+        threading.Thread(target=self._compute, args=(self._latest, step), daemon=True).start()
 
-    def _compute(self, session: _Session, computation: _Computation, step: Step | None) -> None:
+    def _compute(self, computation: _Computation, step: Step | None) -> None:
         from ..cache import keep_compilations
         from ..pipeline import reconstruct
 
+        session = computation.session
         try:
             keep_compilations()
             computation.result = reconstruct(

@@ -149,6 +149,11 @@ def build_server(folder: Path) -> "MCPServer":
     for name in TOOLS:
         server.add_tool(as_tool(getattr(tools, name)), structured_output=False)
 
+    @server.prompt()
+    def reconstruct(photo: str) -> str:
+        """Reconstruct a photograph in the server's folder."""
+        return f"{skill_text()}\nReconstruct the photograph {photo!r}."
+
     @server.resource("neoworld://skill", mime_type="text/markdown")
     def skill() -> str:
         """How an agent reconstructs a photograph."""

@@ -326,6 +326,22 @@ def test_a_hostile_session_file_is_refused(tmp_path):
     asyncio.run(use())
 
 
+def test_a_mailbox_that_leads_out_is_refused(tmp_path):
+    folder, other = tmp_path / "desk", tmp_path / "other"
+    (folder / "coffee-scene").mkdir(parents=True)
+    (other / "0001-parse").mkdir(parents=True)
+    (other / "0001-parse" / "waiting.md").write_text("")
+    (folder / "coffee-scene" / "mailbox").symlink_to(other)
+
+    async def use():
+        async with agent(folder) as stranger:
+            message = await refused(stranger.call("start", photo="coffee"))
+            assert "outside the folder of this server" in message
+
+    asyncio.run(use())
+    assert (other / "0001-parse" / "waiting.md").exists()
+
+
 def test_one_run_at_a_time_and_only_open_requests(tmp_path):
     async def use():
         async with agent(tmp_path) as coffee:
@@ -380,6 +396,8 @@ def test_resources_hold_the_guide_the_skill_and_the_run(built, tmp_path):
         async with agent(folder) as coffee:
             await coffee.next()
             assert "next_request()" in (await read(coffee.client, "neoworld://skill")).text
+            prompt = await coffee.client.get_prompt("reconstruct", {"photo": "desk.jpg"})
+            assert "Reconstruct the photograph 'desk.jpg'" in prompt.messages[0].content.text
             assert "lathe(" in (await read(coffee.client, "neoworld://guide")).text
             assert "<html" in (await read(coffee.client, "neoworld://report")).text
             assert (await read(coffee.client, "neoworld://picture/parse")).blob
