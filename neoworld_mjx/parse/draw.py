@@ -222,7 +222,9 @@ def draw_region(
             spots = (slice(0, 8), at) if axis == 0 else (at, slice(0, 8))
             canvas[spots] = COLOURS[0]
             corner = (at + 2, 0) if axis == 0 else (8, max(at - tag.shape[0] // 2, 0))
-            if corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]:
+            covers = axis == 0 and at < 30  # The numbers of the left ruler are there.
+            inside = corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]
+            if inside and not covers:
                 _stamp(canvas, tag, corner, COLOURS[3])
     return Picture.of("zoom", canvas)
 
