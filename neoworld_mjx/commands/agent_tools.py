@@ -18,7 +18,8 @@ from ..names import Format, Simulator
 from .agent_run import AgentRun
 
 if TYPE_CHECKING:
-    from ..spec import SceneTree
+    from ..compose.layout_patch import ObjectPlacement
+    from ..spec import SceneSpec, SceneTree
 
 Content = list[str | Picture]
 READ_S = 120.0
@@ -26,7 +27,8 @@ READ_S = 120.0
 WIDTHS = range(16, 1569)
 """Valid widths of a rendered image [px]."""
 FARTHEST_M = 100.0
-"""Maximum distance of an edited object from its parent's origin, along each axis [m]."""
+"""Maximum shift of an object by an edit, along each axis [m]."""
+LIMITED = ("revolute", "prismatic")
 AGAIN = "(as in an earlier request; next_request(id, repeat=true) returns it again)"
 
 
@@ -241,61 +243,51 @@ class AgentTools:
     def edit(
         self,
         object: str,
-        xy: tuple[float, float] | None = None,
-        yaw_deg: float | None = None,
+        move: tuple[float, float] = (0.0, 0.0),
+        turn_deg: float = 0.0,
         joints: dict[str, float] | None = None,
         program: str | None = None,
     ) -> Content:
         """Change an object of a finished run, and compute the later steps again.
 
-        Without changes, return the object's pose and joints.
+        Without changes, return the object's pose in the world and its joints.
 
         Args:
             object: name of the object.
-            xy: position in its parent's frame [m].
-            yaw_deg: heading in its parent's frame [deg].
+            move: shift [m] along the ground, away from the camera and to the camera's left.
+            turn_deg: turn about the vertical [deg], anticlockwise seen from above.
             joints: positions by joint [rad or m].
             program: another program; the object is scaled to its size in the photograph.
         """
-        from ..compose.layout_patch import ObjectPlacement, read_layout_patch, write_layout_patch
+        from ..compose.layout_patch import read_layout_patch, write_layout_patch
         from ..io.files import write_inside
         from ..program.ask import written_without_model
         from ..program.sandbox import build
-        from ..spec import read_scene
+        from ..spec import read_scene, world_poses
+        from ..spec.pose import yaw_of
 
         out = self.agent_run.current()
         if self.agent_run.result is None:
             raise RunError(f"the run has not finished: {self.agent_run.state()}")
-        scene = {item.name: item for item in read_scene(out).objects}
-        if object not in scene:
-            raise SpecError(f"object: {choices(object, scene)}")
-        item, change = scene[object], dict[str, Any]()
-        limited = ("revolute", "prismatic")
-        ranges = {j.name: (j.lower, j.upper) for j in item.spec.joints if j.type in limited}
-        for joint, value in (joints or {}).items():
-            if joint not in item.joint_state:
-                raise SpecError(f"joints: {choices(joint, item.joint_state)}")
-            low, high = ranges.get(joint, (value, value))
-            if not low <= value <= high:
-                raise SpecError(f"joints: {joint}: got {value:g}, valid is {low:g} to {high:g}")
-        if xy is not None and max(map(abs, xy)) > FARTHEST_M:
-            raise SpecError(f"xy: got {list(xy)}, valid is up to {FARTHEST_M:g} m")
-        change |= {} if xy is None else {"xy": xy}
-        change |= {} if yaw_deg is None else {"yaw": math.radians(yaw_deg)}
-        change |= {} if not joints else {"joint_state": joints}
-        if not change and program is None:
-            x, y = item.xy
-            pose = f"xy [{x:.4f}, {y:.4f}], yaw_deg {math.degrees(item.yaw):.2f}"
-            return [f"{object} on {item.parent}: {pose}, joints {json.dumps(item.joint_state)}"]
+        scene = read_scene(out)
+        names = [item.name for item in scene.objects]
+        if object not in names:
+            raise SpecError(f"object: {choices(object, names)}")
+        placement = _placement(scene, object, move, turn_deg, joints or {})
+        if placement is None and program is None:
+            item, pose = scene.object(object), world_poses(scene)[object]
+            at = " ".join(f"{value:.4f}" for value in pose.pos.tolist())
+            turn = f"yaw_deg {math.degrees(yaw_of(pose.quat)):.2f}"
+            joint_state = json.dumps(item.joint_state)
+            return [f"{object} on {item.parent}: at {at}, {turn}, joints {joint_state}"]
         if program is not None:
             built = build(program, self.agent_run.config().program)
             if not built.ok:
                 raise SpecError("; ".join(signal.phrase() for signal in built.signals))
             for file, text in written_without_model("edit", program, built).files().items():
                 write_inside(out, f"objects/{object}/{file}", text)
-        if change:
-            patch = read_layout_patch(out).merged(object, ObjectPlacement(**change))
-            write_layout_patch(out, patch)
+        if placement is not None:
+            write_layout_patch(out, read_layout_patch(out).merged(object, placement))
         self.agent_run.repeat("compose" if program is None else "verify")
         self.agent_run.wait(5.0)
         return self.status()
@@ -325,6 +317,42 @@ class AgentTools:
 
 TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))
 """Names of the tools."""
+
+
+def _placement(
+    scene: "SceneSpec",
+    name: str,
+    move: tuple[float, float],
+    turn_deg: float,
+    joints: dict[str, float],
+) -> "ObjectPlacement | None":
+    """Return an edit of an object in its parent's frame; None if nothing changes."""
+    from ..compose.layout_patch import ObjectPlacement
+    from ..spec import joint_keys, support_frame, world_poses
+    from ..spec.pose import conjugate, pose, rotate
+
+    item, change = scene.object(name), dict[str, Any]()
+    if max(map(abs, move)) > FARTHEST_M:
+        raise SpecError(f"move: got {list(move)}, valid is up to {FARTHEST_M:g} m")
+    if any(move):
+        frame = pose()
+        if item.parent is not None:
+            parent_pose = world_poses(scene)[item.parent]
+            frame = support_frame(scene.object(item.parent), parent_pose, item.parent_link)
+        x, y, _ = rotate(conjugate(frame.quat), [*move, 0.0]).tolist()
+        change["xy"] = (item.xy[0] + x, item.xy[1] + y)
+    if turn_deg:
+        change["yaw"] = item.yaw + math.radians(turn_deg)
+    known = [key for joint in item.spec.joints for key in joint_keys(joint)]
+    ranges = {joint.name: joint for joint in item.spec.joints if joint.type in LIMITED}
+    for joint, value in joints.items():
+        if joint not in known:
+            raise SpecError(f"joints: {choices(joint, known)}")
+        if joint in ranges and not ranges[joint].lower <= value <= ranges[joint].upper:
+            valid = f"{ranges[joint].lower:g} to {ranges[joint].upper:g}"
+            raise SpecError(f"joints: {joint}: got {value:g}, valid is {valid}")
+        change.setdefault("joint_state", {})[joint] = value
+    return ObjectPlacement(**change) if change else None
 
 
 def _tree(out: Path) -> "SceneTree":

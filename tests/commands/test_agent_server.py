@@ -5,6 +5,7 @@ The bundled responses of an example stand in for the agent.
 
 import asyncio
 import json
+import math
 import os
 import re
 import shutil
@@ -18,11 +19,13 @@ from PIL import Image
 pytest.importorskip("mcp")
 from mcp import Client, MCPError, StdioServerParameters
 
-from neoworld_mjx.commands.agent_tools import TOOLS
+from neoworld_mjx.commands.agent_tools import TOOLS, _placement
 from neoworld_mjx.commands.mcp_command import McpCommand, build_server
-from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.errors import ConfigError, RunError, SpecError
 from neoworld_mjx.mllm import Tape, bundled_tapes
+from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from tests.conftest import QUICK
+from tests.support import scenes
 
 OPTIONS = {**QUICK, "compose": {"align": {"enabled": False}}}
 TAPE = bundled_tapes() / "coffee.tape.json"
@@ -128,6 +131,13 @@ def built(tmp_path_factory):
     return folder, seen
 
 
+def place(text):
+    """The x, y [m] and heading [deg] that `edit` returns."""
+    found = re.match(r"cup on saucer: at (\S+) (\S+) \S+, yaw_deg (\S+), joints {}", text)
+    assert found, text
+    return tuple(map(float, found.groups()))
+
+
 def copy_of(folder, tmp_path):
     shutil.copytree(folder, tmp_path / "desk")
     return tmp_path / "desk"
@@ -206,22 +216,24 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             assert "objects/cup/object.urdf" in text
             assert "is not empty" in await refused(coffee.call("export", out="robot/scene"))
             pose, _ = await coffee.call("edit", object="cup")
-            assert pose.startswith("cup on saucer: xy [")
+            x, y, yaw = place(pose)
             for change, message in (
                 ({"object": "cop"}, "did you mean 'cup'?"),
                 ({"object": "cup", "joints": {"lid": 1}}, "joints: got 'lid', valid are: none"),
                 ({"object": "cup", "program": "import os"}, "exactly one Object"),
-                ({"object": "cup", "xy": ["far", 1]}, "xy.0"),
-                ({"object": "cup", "xy": [1e300, 1]}, "valid is up to 100 m"),
+                ({"object": "cup", "move": ["far", 1]}, "move.0"),
+                ({"object": "cup", "move": [1e300, 1]}, "valid is up to 100 m"),
             ):
                 assert message in await refused(coffee.call("edit", **change))
             cup = folder / "coffee-scene" / "objects" / "cup"
             program = re.sub('label="[^"]*"', 'label="changed"', (cup / "program.py").read_text())
-            await coffee.call("edit", object="cup", yaw_deg=160, program=program)
+            await coffee.call("edit", object="cup", move=[0.0, 0.003], turn_deg=3, program=program)
             while (request := await coffee.next())[0] is not None:
                 await coffee.call("submit", id=request[0], response={"verdict": "sound"})
             assert "finished" in request[1]
-            assert "yaw_deg 160.00" in (await coffee.call("edit", object="cup"))[0]
+            assert place((await coffee.call("edit", object="cup"))[0]) == pytest.approx(
+                (x, y + 0.003, yaw + 3), abs=2e-4
+            )
             assert json.loads((cup / "spec.json").read_text())["label"] == "changed"
 
     asyncio.run(use())
@@ -476,3 +488,24 @@ def test_the_skill_is_printed_and_installed(neoworld, tmp_path):
     (tmp_path / "file").write_text("")
     done = neoworld("skill", "--install", tmp_path / "file")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
+
+def test_an_edit_is_in_the_world_and_within_the_range_of_joints():
+    spec = scenes.cabinet()
+    joint = next(joint for joint in spec.joints if joint.type == "prismatic")
+    slab = SceneObject(name="slab", spec=scenes.table(), xy=(1.0, 0.0), yaw=1.0)
+    item = SceneObject(name="box", spec=spec, parent="slab", xy=(0.1, 0.2))
+
+    def at(thing):
+        return world_poses(SceneSpec(objects=(slab, thing)))["box"].pos
+
+    scene = SceneSpec(objects=(slab, item))
+    placement = _placement(scene, "box", (0.3, -0.1), 90, {joint.name: joint.upper})
+    assert placement is not None
+    moved = item.model_copy(update={"xy": placement.xy})
+    assert at(moved) - at(item) == pytest.approx([0.3, -0.1, 0.0])
+    assert placement.yaw == pytest.approx(math.pi / 2)
+    assert placement.joint_state == {joint.name: joint.upper}
+    with pytest.raises(SpecError, match=f"joints: {joint.name}: got 9, valid is 0 to"):
+        _placement(scene, "box", (0, 0), 0, {joint.name: 9.0})
+    assert _placement(scene, "box", (0, 0), 0, {}) is None
