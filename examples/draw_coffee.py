@@ -15,6 +15,7 @@ from typing import NoReturn
 from PIL import Image
 
 from neoworld_mjx.config import Config
+from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.view.annotate_page import Annotator
 from neoworld_mjx.view.scene_viewer import SceneViewer
 from neoworld_mjx.view.server import address, close_server, open_server
@@ -58,7 +59,7 @@ def draw_annotate(run: Path, out: Path) -> None:
         def refuse(annotation: object, simulate: bool) -> NoReturn:
             raise NotImplementedError("this page saves nothing")
 
-        Annotator(server, run / "photo.png", out, coffee(), Config(), refuse)
+        Annotator(server, load_photo(run / "photo.png"), out, coffee(), refuse)
         with opened(address(server)) as page:
             page.tab("Objects")
             page.choose("Object", "cup")

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .evidence.depth_image import DepthImage as DepthImage
+    from .evidence.evidence import Evidence as Evidence
+    from .evidence.known_camera import KnownCamera as KnownCamera
+    from .evidence.masks import Masks as Masks
     from .physics.engine import rollout as rollout
     from .physics.gripper import Gripper as Gripper
     from .physics.layout import Layout as Layout
@@ -21,6 +25,7 @@ if TYPE_CHECKING:
     from .physics.model import SceneModel as SceneModel
     from .physics.model import load_scene as load_scene
     from .pipeline import reconstruct as reconstruct
+    from .pipeline.given_evidence import read_evidence as read_evidence
     from .refinement import algorithm, rewards
     from .refinement.algorithm import Problem as Problem
     from .refinement.cem import CEM as CEM
@@ -39,8 +44,12 @@ _LOCATIONS = {
     "CEM": "refinement.cem",
     "CEMParams": "refinement.cem",
     "CEMState": "refinement.cem",
+    "DepthImage": "evidence.depth_image",
+    "Evidence": "evidence.evidence",
     "Gripper": "physics.gripper",
+    "KnownCamera": "evidence.known_camera",
     "Layout": "physics.layout",
+    "Masks": "evidence.masks",
     "Problem": "refinement.algorithm",
     "ResetNoise": "environments.controlled_scene",
     "SceneModel": "physics.model",
@@ -51,6 +60,7 @@ _LOCATIONS = {
     "mjx_batch": "physics.mjx_model",
     "mjx_env": "environments.mjx_environment",
     "mjx_step": "physics.mjx_model",
+    "read_evidence": "pipeline.given_evidence",
     "reconstruct": "pipeline",
     "refine": "refinement.scene_refinement",
     "rollout": "physics.engine",
@@ -66,8 +76,12 @@ __all__ = [
     "CEM",
     "CEMParams",
     "CEMState",
+    "DepthImage",
+    "Evidence",
     "Gripper",
+    "KnownCamera",
     "Layout",
+    "Masks",
     "Problem",
     "ResetNoise",
     "SceneModel",
@@ -80,6 +94,7 @@ __all__ = [
     "mjx_batch",
     "mjx_env",
     "mjx_step",
+    "read_evidence",
     "reconstruct",
     "refine",
     "rewards",

@@ -18,6 +18,10 @@ class PhotoError(NeoWorldError):
     """Raised if a photograph cannot be read or used."""
 
 
+class EvidenceError(NeoWorldError):
+    """Raised if a known camera, a depth image or masks cannot be read, or contradict the photo."""
+
+
 class SpecError(NeoWorldError):
     """Raised if a scene tree, an object or a scene description is inconsistent."""
 

@@ -40,7 +40,7 @@ LONG = (
         "verify",
         "program",
         "pipeline",
-        "align",
+        "estimate",
         "outside",
         "test_faults",
     ),

@@ -11,7 +11,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
@@ -26,6 +26,11 @@ from ..progress import LOGGER
 from ..run_folder import Result
 from .terminal import StatusLine
 
+if TYPE_CHECKING:
+    from ..evidence.evidence_file import StatedEvidence
+    from ..evidence.known_camera import KnownCamera
+    from ..parse.photo import Photo
+
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 SESSION = ".neoworld-agent.json"
@@ -39,6 +44,7 @@ class _Session(BaseModel):
 
     photo: str
     out: str
+    evidence: str = ""
     options: dict[str, Any] = {}
     fast: bool = False
 
@@ -90,13 +96,19 @@ class AgentRun:
         return path
 
     def start(
-        self, photo: str, out: str = "", options: dict[str, Any] | None = None, fast: bool = False
+        self,
+        photo: str,
+        out: str = "",
+        evidence: str = "",
+        options: dict[str, Any] | None = None,
+        fast: bool = False,
     ) -> None:
         """Begin the run of a photograph, or continue it.
 
         Args:
             photo: the photograph in the folder, or the name of a bundled example.
             out: run folder in the folder; by default NAME-scene.
+            evidence: evidence file in the folder, which names files in the folder.
             options: nested options that differ from the defaults.
             fast: if True, ask no critics.
 
@@ -105,7 +117,9 @@ class AgentRun:
                 computes.
         """
         out = out or f"{file_name(Path(photo).stem) or 'photo'}-scene"
-        session = _Session(photo=photo, out=out, options=options or {}, fast=fast)
+        session = _Session(
+            photo=photo, out=out, evidence=evidence, options=options or {}, fast=fast
+        )
         with self._lock:
             if self._latest is not None and not self._latest.ended.is_set():
                 if session == self._latest.session:
@@ -118,6 +132,7 @@ class AgentRun:
             if self.path(out) == self.folder:
                 raise RunError(f"out: {out!r} is the folder of this server; name a new folder")
             self._config(session)
+            self._evidence(session)
             self._begin(session)
             write_inside(self.folder, SESSION, session.model_dump_json(indent=1) + "\n")
 
@@ -140,9 +155,15 @@ class AgentRun:
         """
         return self.path(self._current().session.out)
 
-    def photo(self) -> Path:
-        """Return the photograph of the current run."""
-        return self._photo(self._current().session)
+    def photo(self) -> "tuple[Photo, KnownCamera | None]":
+        """Return the photograph as the run uses it, and what the evidence says about its camera."""
+        from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
+        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
+
+        path, side = self._photo(self._current().session), self.config().parse.max_side_px
+        photo = load_photo(path, side, MODEL_MIN_SIDE_PX)
+        evidence = evidence_of_run(photo, None, self.current()).evidence
+        return undistorted_photo(photo, evidence), evidence.camera
 
     def config(self) -> Config:
         """Return the options of the current run."""
@@ -196,7 +217,7 @@ class AgentRun:
                 if not path.is_file():
                     raise RunError("no run: call start(photo) first")
                 session = read_model(path, _Session, RunError, "a session")
-                self.start(session.photo, session.out, session.options, session.fast)
+                self.start(**session.model_dump())
             assert self._latest is not None
             return self._latest
 
@@ -215,6 +236,16 @@ class AgentRun:
                 f"{', '.join(examples)}"
             )
         return examples[session.photo].photo
+
+    def _evidence(self, session: _Session) -> "StatedEvidence | None":
+        from ..evidence.evidence_file import read_stated
+
+        if not session.evidence:
+            return None
+        stated = read_stated(self.path(session.evidence))
+        for file in stated.files:
+            self.path(file)
+        return stated
 
     def _config(self, session: _Session) -> Config:
         from ..pipeline.reconstruction import refuse_code
@@ -256,6 +287,7 @@ class AgentRun:
                 self._config(session),
                 resume=step is None,
                 start=step,
+                evidence=self._evidence(session) if step is None else None,
             )
         except NeoWorldError as error:
             computation.error = str(error)

@@ -48,7 +48,12 @@ class AgentTools:
         """Instructions and schemas that the agent has received."""
 
     def start(
-        self, photo: str, out: str = "", options: dict[str, Any] | None = None, fast: bool = False
+        self,
+        photo: str,
+        out: str = "",
+        evidence: str = "",
+        options: dict[str, Any] | None = None,
+        fast: bool = False,
     ) -> Content:
         """Begin to reconstruct a photograph, or continue its run. Then call next_request().
 
@@ -56,10 +61,12 @@ class AgentTools:
             photo: path of the photograph in the server's folder, or the name of a bundled example:
                 coffee, drawers or microwave.
             out: run folder in the server's folder; default: NAME-scene.
+            evidence: YAML file in the server's folder that names what is known of the camera, the
+                depths and the masks, if the user has such files.
             options: nested options that differ from the defaults, such as {"seed": 1}.
             fast: ask for each response once, without critiques: fewer requests, more errors stay.
         """
-        self.agent_run.start(photo, out, options, fast)
+        self.agent_run.start(photo, out, evidence, options, fast)
         self.agent_run.wait(5.0)
         if self.agent_run.error:
             raise RunError(self.agent_run.state())
@@ -125,14 +132,13 @@ class AgentTools:
             response: the response, as for submit().
             id: the request; default: the oldest open one.
         """
-        from ..parse.photo import load_photo
         from ..parse.preview import number_lines, preview
 
         request = read_request(self.agent_run.mailbox, id)
         if "objects" not in json.loads(request.schema).get("properties", {}):
             raise SpecError(f"{request.id} asks for no scene; build() tries programs")
-        photo = load_photo(sorted((self.agent_run.mailbox / request.id).glob("1-*.*g"))[0])
-        shown = preview(photo, json.dumps(response), request.prompt)
+        photo, known = self.agent_run.photo()
+        shown = preview(photo, json.dumps(response), request.prompt, known)
         return ["\n".join(number_lines(shown.objects, shown.issues)), shown.picture]
 
     def submit(self, id: str, response: dict[str, Any]) -> Content:
@@ -160,7 +166,6 @@ class AgentTools:
             object: name of the object in the parsed scene.
         """
         from ..parse.crops import crops
-        from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
         from ..program.sandbox import build
         from ..program.stages import compare_to_node
         from ..program.views import draw, draw_in_place
@@ -182,8 +187,7 @@ class AgentTools:
             for j in spec.joints
         ]
         rows += [s.phrase() for s in (*built.signals, *compare_to_node(spec, node))]
-        photo = load_photo(self.agent_run.photo(), config.parse.max_side_px, MODEL_MIN_SIDE_PX)
-        crop = crops(photo, tree)[object]
+        crop = crops(self.agent_run.photo()[0], tree)[object]
         pictures = [crop.picture, draw_in_place(spec, node, tree.camera, crop.window)]
         if any(joint.type != "fixed" for joint in spec.joints):
             pictures.append(draw(spec, node, tree.camera, opened=True))

@@ -11,12 +11,15 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from .base_command import Command, CommandResult, ConfiguredCommand
+from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
     from ..render import View
     from ..spec import Camera, SceneSpec
 
 _log = logging.getLogger(__name__)
+LARGEST_PX = 8192
+"""Maximum side of a request's photograph, which is not resized again [px]."""
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 """Default direction of the camera, slightly to the side of the photograph's camera."""
@@ -27,7 +30,8 @@ class PreviewCommand(Command):
     """Draw a response to the request `parse` on the photograph, and check it, before it is given.
 
     For a request of a mailbox, name its response.json: the photograph and the scene that a
-    correction changes are read from the same folder.
+    correction changes are read from the same folder. A camera that is known from evidence is not
+    used; the tool of `neoworld mcp` uses it.
     """
 
     response: Positional[Path]
@@ -60,7 +64,7 @@ class PreviewCommand(Command):
                 texts.append("")
             except (OSError, UnicodeDecodeError) as error:
                 raise SpecError(f"cannot read {path}: {error}") from None
-        shown = preview(load_photo(photo), *texts)
+        shown = preview(load_photo(photo, LARGEST_PX), *texts)
         out = self.out or folder / "preview.png"
         write_output(out, shown.picture.data, SpecError)
         return {"picture": str(out), "objects": shown.objects, "issues": shown.issues}
@@ -256,7 +260,7 @@ class ViewCommand(PageCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnnotateCommand(PageCommand):
+class AnnotateCommand(EvidenceFlags, PageCommand):
     """Annotate a photograph by hand, without a model: boxes, labels, camera and templates."""
 
     photo: Positional[Path]
@@ -268,14 +272,20 @@ class AnnotateCommand(PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
+        from ..parse.photo import load_photo
         from ..pipeline.annotated import read_annotation, write_annotated
+        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
         from ..run_folder import Result
         from ..view.annotate_page import Annotator, empty_annotation
         from ..view.annotation import Annotation
         from ..view.server import address, close_server, open_server
 
         config = self.load_config()
-        annotation = empty_annotation(self.photo, config)
+        photo = load_photo(self.photo, config.parse.max_side_px)
+        kept = None if self.start is None else self.out
+        known = evidence_of_run(photo, self.stated(), kept).evidence
+        photo = undistorted_photo(photo, known)
+        annotation = empty_annotation(photo, known.camera)
         if self.start is not None:
             empty, annotation = annotation.camera, read_annotation(self.out)
             run_size, photo_size = (
@@ -294,11 +304,13 @@ class AnnotateCommand(PageCommand):
             )
 
         def write(annotation: Annotation, simulate: bool) -> Result:
-            return write_annotated(self.photo, self.out, annotation, config, simulate=simulate)
+            return write_annotated(
+                *(self.photo, self.out, annotation, config), simulate=simulate, evidence=known
+            )
 
         server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)
         try:
-            Annotator(server, self.photo, self.out, annotation, config, write)
+            Annotator(server, photo, self.out, annotation, write)
             return self.serve_until_interrupted(address(server))
         finally:
             close_server(server)

@@ -11,11 +11,12 @@ from ..errors import ConfigError
 from ..names import Step
 from ..quantities import count
 from .base_command import Command, CommandResult, ConfiguredCommand
+from .evidence_flags import EvidenceFlags
 from .result_lines import DETAILS, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReconstructCommand(ConfiguredCommand):
+class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     """Reconstruct a simulation-ready scene from a photograph."""
 
     photo: Positional[Path]
@@ -78,6 +79,7 @@ class ReconstructCommand(ConfiguredCommand):
             record=self.record,
             mailbox=self.mailbox,
             tapes=self.tape,
+            evidence=self.stated(),
         )
         return result.summary()
 
@@ -87,7 +89,7 @@ class ReconstructCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefineCommand(ConfiguredCommand):
+class RefineCommand(EvidenceFlags, ConfiguredCommand):
     """Refine the composed scene of a run again, and export it; earlier steps are reused.
 
     Without --config and --set, the options of the run are used. With --from, FOLDER is a new folder
@@ -101,9 +103,6 @@ class RefineCommand(ConfiguredCommand):
     """Scene of another method: a glTF file, or a poses.json next to its meshes."""
     photo: Path | None = None
     """With --from: the photograph of the scene."""
-    camera: Path | None = None
-    """With --photo: camera.json with the camera of the photograph. Default: the camera in the
-    scene's file."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -117,9 +116,12 @@ class RefineCommand(ConfiguredCommand):
         keep_compilations()
         if self.source is not None:
             return self._rescue(self.source)
-        for flag, value in {"--photo": self.photo, "--camera": self.camera}.items():
-            if value is not None:
-                raise ConfigError(f"{flag} belongs to --from: {self.folder} has its photograph")
+        if self.photo is not None or self.stated() is not None:
+            flag = "--photo" if self.photo is not None else "evidence, such as --camera,"
+            raise ConfigError(
+                f"{flag} belongs to --from: {self.folder} has its photograph and evidence; change "
+                "them by reconstruct --resume"
+            )
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -135,7 +137,7 @@ class RefineCommand(ConfiguredCommand):
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return rescue_file(
-            source, self.folder, config, photo=self.photo, camera=self.camera
+            source, self.folder, config, photo=self.photo, evidence=self.stated()
         ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..errors import SpecError
+from ..evidence.file_camera import FileCamera
 from ..io.limited_worker import call_limited
 from ..io.names import RESERVED, identifier
 from ..io.text_files import validation_message
@@ -38,7 +39,7 @@ from ..spec.shapes import HELPER, UNKNOWN
 from ..spec.tree import name_on_cycle
 from .load_mesh import read_xml
 from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles, transformed
-from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
+from .read_mesh_scene import GLTF, POSES, MeshScene, read_gltf, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
 

@@ -101,6 +101,11 @@ def _add_camera(stage: Usd.Stage, path: Sdf.Path, camera: Camera) -> None:
     prim.CreateFocalLengthAttr(focal)
     prim.CreateVerticalApertureAttr(tall)
     prim.CreateHorizontalApertureAttr(tall * camera.width / camera.height_px)
+    if any(camera.principal):
+        # The aperture moves against the image: its offset is that of the image's middle.
+        x, y = (value * tall / camera.height_px for value in camera.principal)
+        prim.CreateHorizontalApertureOffsetAttr(-x)
+        prim.CreateVerticalApertureOffsetAttr(y)
     prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
 
 

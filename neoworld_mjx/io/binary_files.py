@@ -1,4 +1,4 @@
-"""Readers of untrusted .npz and image files, which check format and size before they decode."""
+"""Readers of untrusted arrays and images, which check format and size before they decode."""
 
 import io
 import warnings
@@ -22,7 +22,9 @@ MAX_ARRAYS = 4096
 
 
 def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
-    """Read the arrays of an .npz file, checking all declared sizes before allocating memory.
+    """Read the arrays of an .npz file by name, or of an .npy file, whose only array is named "".
+
+    All declared sizes are checked before memory is allocated.
 
     Args:
         path: the file.
@@ -38,6 +40,8 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
     except OSError as problem:
         raise error(f"cannot read {path}: {problem.strerror}") from None
     try:
+        if data.startswith(npy.MAGIC_PREFIX):
+            return {"": _array(data, str(path))}
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             declared = sum(member.file_size for member in members)
@@ -46,27 +50,31 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
                     f"{path} unpacks to {declared / MIB:.0f} MiB in {len(members)} arrays; the "
                     f"limit is {limit // MIB} MiB in {MAX_ARRAYS} arrays (files.max_file_mib)"
                 )
-            return {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+            return {
+                m.filename.removesuffix(".npy"): _array(archive.read(m), m.filename)
+                for m in members
+            }
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,
             NotImplementedError, SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
         raise error(f"{path} holds no readable arrays: {problem}") from None
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
-    with archive.open(member) as stream:
-        version = npy.read_magic(stream)  # pyright: ignore[reportArgumentType]
-        headers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-        if version not in headers:
-            raise ValueError(f"{member.filename} has the unsupported version {version}")
-        shape, fortran, dtype = headers[version](stream)  # pyright: ignore[reportArgumentType]
-        if dtype.hasobject:
-            raise ValueError(f"{member.filename} holds Python objects")
-        if len(shape) > 32 or any(n < 0 for n in shape):
-            raise ValueError(f"{member.filename} has the invalid shape {shape}")
-        size, available = prod(shape) * dtype.itemsize, member.file_size - stream.tell()
-        if size > available:
-            raise ValueError(f"{member.filename} declares {size} bytes but has {available}")
-        array = np.frombuffer(stream.read(size), dtype, prod(shape)).copy()
+def _array(data: bytes, name: str) -> NDArray:
+    """Return the array of a file in the format .npy."""
+    stream = io.BytesIO(data)
+    version = npy.read_magic(stream)  # pyright: ignore[reportArgumentType]
+    headers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in headers:
+        raise ValueError(f"{name} has the unsupported version {version}")
+    shape, fortran, dtype = headers[version](stream)  # pyright: ignore[reportArgumentType]
+    if dtype.hasobject:
+        raise ValueError(f"{name} holds Python objects")
+    if len(shape) > 32 or any(n < 0 for n in shape):
+        raise ValueError(f"{name} has the invalid shape {shape}")
+    size, available = prod(shape) * dtype.itemsize, len(data) - stream.tell()
+    if size > available:
+        raise ValueError(f"{name} declares {size} bytes but has {available}")
+    array = np.frombuffer(stream.read(size), dtype, prod(shape)).copy()
     return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
 
 

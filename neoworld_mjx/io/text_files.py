@@ -200,20 +200,22 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(str(error)) from None
 
 
-def read_yaml(path: Path, kind: str) -> Any:
+def read_yaml(path: Path, kind: str, error: type[NeoWorldError] = ConfigError) -> Any:
     """Read a YAML file.
 
     Args:
         path: the file.
         kind: kind of file for messages, such as "config".
+        error: class of the error to raise.
 
     Raises:
-        ConfigError: the file cannot be read, is larger than 256 KiB, or is not YAML of plain
-            values.
+        NeoWorldError: of the class `error`: the file cannot be read, is larger than 256 KiB, or is
+            not YAML of plain values.
     """
     try:
         return parse_yaml(read_text(Path(path), _MAX_BYTES))
-    except OSError as error:
-        raise ConfigError(f"cannot read {kind} {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ConfigError(f"{kind} {path} is not valid YAML: {error}") from None
+    except OSError as problem:
+        raise error(f"cannot read {kind} {path}: {problem.strerror}") from None
+    except ValueError as problem:
+        reason = " ".join(str(problem).split())
+        raise error(f"{kind} {path} is not valid YAML: {reason}") from None

@@ -155,9 +155,11 @@ def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
         np.asarray(visible.unoccluded_sides)[0],
         np.asarray(visible.outlines.boxes)[0],
     )
-    half = np.tile(np.asarray(padded.photo.half_size), 2)
+    low, high = np.split(np.asarray(padded.photo.edges), 2)
+    ends = full_boxes.reshape(-1, 2, 2)
+    inside = ((ends >= low) & (ends <= high)).reshape(-1, 4)
     return {
-        item.name: SidesShown(object_ends[k], np.abs(full_boxes[k]) <= half)
+        item.name: SidesShown(object_ends[k], inside[k])
         for k, item in enumerate(scene.objects)
         if not item.environment
     }

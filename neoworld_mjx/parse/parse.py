@@ -6,7 +6,7 @@ Each response is fitted to its own 2D boxes and checked without a model. A repai
 - the faults that the critic sees in the drawing of the scene.
 
 The response to a repair request contains only changes. The result is the response with the best
-score. The vertical edges in the photograph (`fit.image_lines`) check the parsed camera.
+score. The vertical edges in the photograph (`estimate.image_lines`) check the parsed camera.
 """
 
 import asyncio
@@ -20,11 +20,12 @@ from pydantic import ValidationError
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
-from ..fit.fit_tree import FitReport, fit_tree
-from ..fit.image_lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..fit.priors import is_slab
-from ..fit.projection import outline_of
-from ..fit.tree_checks import SceneIssue, check_score, check_tree
+from ..estimate.fit_tree import FitReport, fit_tree
+from ..estimate.image_lines import EdgeRegion, VerticalEdges, vertical_edges
+from ..estimate.priors import is_slab
+from ..estimate.projection import outline_of
+from ..estimate.tree_checks import SceneIssue, check_score, check_tree
+from ..evidence.known_camera import KnownCamera, with_known_camera
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
@@ -230,13 +231,21 @@ class Parsed:
         return json.dumps({"rounds": rounds}, indent=1) + "\n"
 
 
-async def parse(photo: Photo, models: Model, options: ParseOptions | None = None) -> Parsed:
+async def parse(
+    photo: Photo,
+    models: Model,
+    options: ParseOptions | None = None,
+    *,
+    known: KnownCamera | None = None,
+) -> Parsed:
     """Parse a photograph into a scene tree.
 
     Args:
         photo: the photograph.
         models: reasoner and critic.
         options: number of rounds, and whether to fit.
+        known: what is known of the camera. Its values replace those of a response, whose objects
+            keep their pixels.
 
     Raises:
         ModelError: the first request failed, or no response gave a tree.
@@ -244,8 +253,8 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
     options = options or ParseOptions()
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
-    response = (await models.ask(parse_request(photo))).value
-    attempt = await fit_and_check(photo, response, options)
+    response = (await models.ask(parse_request(photo, known))).value
+    attempt = await fit_and_check(photo, response, options, known)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
             # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
@@ -257,7 +266,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         attempts.append(attempt)
         if not remaining or not attempt.corrections:
             break
-        request = correction_request(photo, attempt.response, attempt.corrections)
+        request = correction_request(photo, attempt.response, attempt.corrections, known)
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:
             break
@@ -269,7 +278,7 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await fit_and_check(photo, response, options, already_asked=asked)
+        attempt = await fit_and_check(photo, response, options, known, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:
@@ -279,7 +288,12 @@ async def parse(photo: Photo, models: Model, options: ParseOptions | None = None
 
 
 async def fit_and_check(
-    photo: Photo, response: ParsedScene, options: ParseOptions, *, already_asked: bool = False
+    photo: Photo,
+    response: ParsedScene,
+    options: ParseOptions,
+    known: KnownCamera | None,
+    *,
+    already_asked: bool = False,
 ) -> SceneAttempt:
     """Fit a response to its 2D boxes and check it.
 
@@ -287,13 +301,18 @@ async def fit_and_check(
         photo: the photograph.
         response: the response.
         options: whether to fit.
+        known: what is known of the camera.
         already_asked: if True, the model was already asked about the camera.
     """
     try:
         response_tree = tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, None, str(error))
-    issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
+    issue = None
+    if known is not None:
+        response_tree = tree = with_known_camera(tree, known)
+    if known is None or known.pitch is None or known.roll is None:
+        issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
     if issue is not None:
         # The picture contradicts the camera, so its numbers do not count as measured.
         estimated = {"camera_measured": (), "pitch_sd": None, "height_sd": None}

@@ -5,15 +5,17 @@ checked and fitted as Step 1 does, so the preview shows what the run would find.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config import ParseOptions
 from ..errors import SpecError
-from ..fit.projection import expected_box
-from ..fit.tree_checks import agreement
+from ..estimate.projection import expected_box
+from ..estimate.tree_checks import agreement
+from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture
 from ..mllm.panel import run_coroutine
 from ..mllm.requests import InvalidResponse, read_response
@@ -37,24 +39,27 @@ class Preview(NamedTuple):
     """Issues that remain after the fit, one line each. A run asks for corrections of the errors."""
 
 
-def preview(photo: Photo, text: str, prompt: str = "") -> Preview:
+def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None = None) -> Preview:
     """Draw and check a response to a request for a scene or for corrections of a scene.
 
     Args:
-        photo: the photograph in the size in which the request shows it.
+        photo: the photograph. Numbers are in pixels of its resized picture, as in the request.
         text: the response.
         prompt: the request's prompt, which contains the scene that a correction changes.
+        known: what is known of the camera.
 
     Raises:
         SpecError: the response is invalid, or gives no scene.
     """
-    attempt = run_coroutine(fit_and_check(photo, _scene(photo, text, prompt), ParseOptions()))
+    attempt = run_coroutine(
+        fit_and_check(photo, _scene(photo, text, prompt), ParseOptions(), known)
+    )
     if attempt.response_tree is None:
         raise SpecError(f"the response gives no scene: {attempt.broken}")
     tree = attempt.response_tree
     return Preview(
         draw_parse(photo, tree, draw_3d_boxes=True),
-        [dict(_numbers(attempt, tree, node)) for node in tree.nodes],
+        [dict(_numbers(attempt, tree, node, photo.scale)) for node in tree.nodes],
         [f"{issue.severity}: {issue.phrase()}" for issue in attempt.checks],
     )
 
@@ -82,15 +87,15 @@ def _scene(photo: Photo, text: str, prompt: str) -> ParsedScene:
 
 
 def _numbers(
-    attempt: SceneAttempt, tree: SceneTree, node: TreeNode
+    attempt: SceneAttempt, tree: SceneTree, node: TreeNode, scale: float
 ) -> Iterator[tuple[str, object]]:
     projected = expected_box(tree.camera, node)
     yield "name", node.name
-    yield "box", np.round(node.box2d.as_tuple()).astype(int).tolist()
+    yield "box", _pixels(node.box2d.as_tuple(), scale)
     if projected is None:
         yield "3D box", "outside the picture"
     else:
-        yield "3D box", np.round(projected).astype(int).tolist()
+        yield "3D box", _pixels(projected, scale)
     if not node.environment:
         yield "agreement", round(agreement(tree, node), 2)
     if node.parent is not None and node.relation == "on":
@@ -104,6 +109,10 @@ def _numbers(
         yield "fit_moves_m", round(change.distance_m, 3)
         yield "fit_scales", [round(ratio, 2) for ratio in change.size_ratio]
         yield "fit_agreement", round(change.agreement_after, 2)
+
+
+def _pixels(box: Sequence[float] | NDArray, scale: float) -> list[int]:
+    return np.round(np.asarray(box) * scale).astype(int).tolist()
 
 
 def _text(value: object) -> str:

@@ -1,10 +1,12 @@
 """Requests to the reasoner and the critic of Step 1, and the schema of the critic's response."""
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture, Request, package_text
 from .photo import Photo
 from .schema import ParsedScene, SceneCorrection
@@ -13,6 +15,12 @@ REQUEST_PROMPT = (
     "Describe the scene in this photograph of {width} x {height} pixels: the camera, every object, "
     "every support. Give boxes in pixels of this picture."
 )
+KNOWN_CAMERA = (
+    "\n\nThe camera was measured: {values}. Give these numbers, call them measured, and find the "
+    "others, the positions and the sizes that go with them."
+)
+TOLD_SD = 0.01
+"""Largest standard deviation of a focal length, relative to it, of which models are told."""
 REPAIR_PROMPT = (
     "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
     "checked for consistency. These faults were found; look at the photograph again for each of "
@@ -71,21 +79,44 @@ class SceneCritique(BaseModel):
         return min(self.boxes, self.completeness, self.hierarchy)
 
 
-def parse_request(photo: Photo) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo."""
-    width, height = photo.size
+def parse_request(photo: Photo, known: KnownCamera | None = None) -> Request[ParsedScene]:
+    """Return the request for the scene in a photo whose camera may be known."""
     return Request(
         role="reasoner",
         name="parse",
         system=package_text(__package__, "reasoner"),
-        prompt=REQUEST_PROMPT.format(width=width, height=height),
+        prompt=_request_prompt(photo, known),
         schema=ParsedScene,
         pictures=[Picture.of("photo", photo.rgb)],
     )
 
 
+def _request_prompt(photo: Photo, known: KnownCamera | None) -> str:
+    width, height = photo.size
+    prompt = REQUEST_PROMPT.format(width=width, height=height)
+    values = [] if known is None else _known_values(known)
+    return prompt + KNOWN_CAMERA.format(values=", ".join(values)) if values else prompt
+
+
+def _known_values(known: KnownCamera) -> list[str]:
+    """Return the known numbers of a camera by their names in the response."""
+    values = []
+    if known.focal is not None and known.focal_sd <= TOLD_SD:
+        fovy = 2 * math.atan(known.size[1] / 2 / known.focal)
+        values.append(f"fovy_deg {math.degrees(fovy):.2f}")
+    for name in ("pitch", "roll"):
+        if (angle := getattr(known, name)) is not None:
+            values.append(f"{name}_deg {math.degrees(angle):.2f}")
+    if known.height is not None:
+        values.append(f"height {known.height:.4f} (of the plane z = 0 below it)")
+    return values
+
+
 def correction_request(
-    photo: Photo, response: ParsedScene, findings: Sequence[str]
+    photo: Photo,
+    response: ParsedScene,
+    findings: Sequence[str],
+    known: KnownCamera | None = None,
 ) -> Request[SceneCorrection]:
     """Return the request for the correction of a response.
 
@@ -93,10 +124,10 @@ def correction_request(
         photo: the photograph.
         response: the response to correct.
         findings: faults of the response, each as one line.
+        known: what is known of the camera.
     """
-    width, height = photo.size
     prompt = REPAIR_PROMPT.format(
-        ask=REQUEST_PROMPT.format(width=width, height=height),
+        ask=_request_prompt(photo, known),
         response=response.model_dump_json(indent=1),
         findings="\n".join(f"- {line}" for line in findings),
     )

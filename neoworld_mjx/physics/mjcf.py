@@ -14,6 +14,7 @@ anchor of the body's joint, and the object's orientation. Every joint is thus at
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -47,6 +48,8 @@ JOINT_FRICTION_IMPEDANCE = 0.999
 """Impedance of dry friction in joints. At MuJoCo's default of 0.9, a lid that friction should hold
 creeps by degrees per second, however large the friction."""
 
+PIXEL_M = 1e-5
+"""Edge of a pixel of exported sensors with a principal point [m]; images do not depend on it."""
 IMPRATIO = 10.0
 """Ratio of the impedances of friction and normal force. Friction that is stiffer than MuJoCo's
 default keeps resting objects from creeping."""
@@ -133,12 +136,21 @@ def visual_name(owner: str, geom: GeomSpec) -> str:
 
 def _add_camera(model: mujoco.MjSpec, camera: Camera) -> None:
     placement = camera.pose()
+    lens: dict[str, Any] = {"fovy": math.degrees(camera.fovy)}
+    if any(camera.principal):
+        # MuJoCo's values are those of the image's middle relative to the principal point.
+        x, y = camera.principal
+        lens = {
+            "focal_pixel": [camera.focal, camera.focal],
+            "principal_pixel": [-x, -y],
+            "sensor_size": [camera.width * PIXEL_M, camera.height_px * PIXEL_M],
+        }
     model.worldbody.add_camera(
         name="photo",
         pos=placement.pos,
         quat=placement.quat,
-        fovy=math.degrees(camera.fovy),
         resolution=[camera.width, camera.height_px],
+        **lens,
     )
 
 

@@ -27,10 +27,10 @@ class PhotoView(NamedTuple):
     """[m]"""
     focal: Float[AnyArray, ""]
     """[px]"""
-    half_size: Float[AnyArray, " 2"]
-    """Half the image's width and height [px]."""
+    edges: Float[AnyArray, " 4"]
+    """Edges of the image: left, top, right, bottom relative to the principal point [px]."""
     boxes: Float[AnyArray, "object 4"]
-    """2D boxes: left, top, right, bottom relative to the image center [px]."""
+    """2D boxes: left, top, right, bottom relative to the principal point [px]."""
     parsed: Bool[AnyArray, " object"]
     """True for parsed boxes, which bound the visible part. Other boxes bound the whole object."""
     depth: Float[AnyArray, " object"]
@@ -46,7 +46,8 @@ class PhotoView(NamedTuple):
 def photo_view(spec: SceneSpec) -> PhotoView:
     """Collect the photograph's boxes and depths; compute missing ones from the composed scene."""
     camera = spec.camera or _default_camera(spec)
-    center = np.tile([camera.width / 2, camera.height_px / 2], 2)
+    half = np.tile([camera.width / 2, camera.height_px / 2], 2)
+    center = np.tile(camera.center, 2)
     poses = world_poses(spec)
     boxes, depth, parsed = [], [], []
     for item in spec.objects:
@@ -62,14 +63,15 @@ def photo_view(spec: SceneSpec) -> PhotoView:
     boxes, depth = np.array(boxes), np.array(depth, float)
     scored = np.array([not item.environment for item in spec.objects])
     occluded = np.array([item.occluded for item in spec.objects])
-    inside_image = np.abs(boxes) < center - BORDER_PX
+    middle = np.tile(camera.principal, 2)
+    inside_image = np.abs(boxes + middle) < half - BORDER_PX
     fully_visible = ~occluded & (inside_image.all(axis=1) | ~np.array(parsed))
     occludes = np.array([not see_through(item.spec) for item in spec.objects])
     return PhotoView(
         axes=camera.axes(),
         position=camera.position(),
         focal=np.array(camera.focal),
-        half_size=center[:2],
+        edges=np.array([-half[0], -half[1], half[0], half[1]]) - middle,
         boxes=boxes,
         parsed=np.array(parsed),
         depth=depth,
@@ -91,13 +93,14 @@ def photo_deviations(
     """
     poses = world_poses(scene)
     axes, yaw_and_scale = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
+    eye = np.zeros(2) if scene.camera is None else scene.camera.position()[:2]
     for k, item in enumerate(scene.objects):
         uncertainty = item.uncertainty
         if uncertainty is None or item.parent is None:
             continue
         frame = support_frame(scene.object(item.parent), poses[item.parent], item.parent_link)
-        # The camera is above the world's origin, so the viewing direction is that of the position.
-        along = math.atan2(*poses[item.name].pos[1::-1]) - yaw_of(frame.quat)
+        x, y = poses[item.name].pos[:2] - eye
+        along = math.atan2(y, x) - yaw_of(frame.quat)
         c, s = math.cos(along), math.sin(along)
         axes[k] = np.array([[c, -s], [s, c]]) * [uncertainty.along, uncertainty.across]
         yaw_and_scale[k] = uncertainty.yaw, uncertainty.log_scale

@@ -111,7 +111,8 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
         extremes.append(jnp.stack((side, across) if axis == 0 else (across, side), axis=-1))
     _, _, depth = project(jnp.mean(scene.corners, axis=1, keepdims=True))
     u, w, _ = project(scene.samples)
-    within = (jnp.abs(u) <= v.half_size[0]) & (jnp.abs(w) <= v.half_size[1])
+    left, top, right, bottom = v.edges
+    within = (u >= left) & (u <= right) & (w >= top) & (w <= bottom)
     return Outlines(
         jnp.stack(box, axis=-1),
         jnp.stack(extremes, axis=2),
@@ -197,7 +198,7 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
         population_last(projected.extremes),
         population_last(projected.middle),
     )
-    border = jnp.concatenate([-scene.photo.half_size, scene.photo.half_size]) / focal
+    border = scene.photo.edges / focal
     low, high = jnp.tile(border[:2], 2)[:, None], jnp.tile(border[2:], 2)[:, None]
     least_inverse_depth = _least_inverse_depth(camera_scene, scene.count)
     grid = jnp.asarray(_grid())

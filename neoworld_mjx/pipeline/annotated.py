@@ -1,10 +1,12 @@
 """Write an annotation as the first two steps of a run; run the later steps without a model."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from ..config import Config
 from ..errors import ProgramError, RunError, SpecError
+from ..evidence.known_camera import EXACT_FOCAL, KnownCamera
 from ..io import bounded_by, read_model
 from ..parse.crops import colour_in_box, crops, support_colours
 from ..parse.draw import draw_parse
@@ -17,6 +19,13 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from ..view.annotated_tree import annotated_tree, annotation_from_tree, program_of
 from ..view.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
+from .given_evidence import (
+    Given,
+    evidence_of_run,
+    keep_evidence,
+    kept_inputs,
+    undistorted_photo,
+)
 from .object_steps import program_inputs, write_object_files
 from .reconstruction import finish, run_steps
 from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE
@@ -42,7 +51,13 @@ def read_annotation(folder: Path) -> Annotation:
 
 
 def write_annotated(
-    photo: Path, out: Path, annotation: Annotation, config: Config, *, simulate: bool = True
+    photo: Path,
+    out: Path,
+    annotation: Annotation,
+    config: Config,
+    *,
+    simulate: bool = True,
+    evidence: Given | None = None,
 ) -> Result:
     """Write the tree and the programs of an annotation into a run folder.
 
@@ -57,12 +72,17 @@ def write_annotated(
         simulate: if True, also verify, compose, refine and export. If a model has to write a
             program, the run stops before these steps, and `neoworld reconstruct --resume` continues
             it.
+        evidence: as for `reconstruct`. Calibrated values replace those of the annotation's camera.
 
     Raises:
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
     """
     with bounded_by(config.files):
         picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
+        exists = (out / "run.json").is_file()
+        known = evidence_of_run(picture, evidence, out if exists else None)
+        picture = undistorted_photo(picture, known.evidence)
+        annotation = _calibrated(annotation, known.evidence.camera)
         tree = annotated_tree(annotation)
         by_name = {obj.name: obj for obj in annotation.objects}
         kept_files = {
@@ -84,10 +104,11 @@ def write_annotated(
                 text = program_of(obj, node.box3d.size, rgb)
                 if text is not None:
                     texts[node.name] = _build_files(node, text, "annotation", config)
-        exists = (out / "run.json").is_file()
         with RunFolder(out, config, "redo" if exists else "new", step="parse") as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
-            with run.step("parse", {"photo": picture.sha256, "options": config.parse}) as step:
+            keep_evidence(run, known)
+            inputs = {"photo": picture.sha256, "options": config.parse, **kept_inputs(run)}
+            with run.step("parse", inputs) as step:
                 assert step is not None
                 (step / TREE).write_text(tree.to_json(), encoding="utf-8")
                 (step / ANNOTATION).write_text(
@@ -98,13 +119,22 @@ def write_annotated(
                 image = draw_parse(picture, tree, draw_3d_boxes=True).data
                 (step / "pictures" / "parse.png").write_bytes(image)
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
-            inputs = program_inputs(tree, crop_by_name, colours, config.program)
-            _write_programs(run, texts, inputs)
+            program = program_inputs(tree, crop_by_name, colours, config.program)
+            _write_programs(run, texts, program)
             left_to_model = [name for name, obj in by_name.items() if obj.kind == WRITTEN_BY_MODEL]
             if simulate and not left_to_model:
                 run_steps(run, config, None, first="verify")
                 return finish(run, None)
             return finish(run, "parse" if left_to_model else "program")
+
+
+def _calibrated(annotation: Annotation, known: KnownCamera | None) -> Annotation:
+    """Return the annotation with the camera's known values, except for a focal length of EXIF."""
+    if known is None:
+        return annotation
+    if known.focal_sd > EXACT_FOCAL:
+        known = replace(known, focal=None)
+    return annotation.model_copy(update={"camera": known.camera(annotation.camera)})
 
 
 def _write_programs(

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,8 +34,9 @@ from .step_context import (
 )
 
 if TYPE_CHECKING:
-    from ..align.alignment import Alignment
     from ..compose.layout_patch import LayoutPatch
+    from ..estimate.alignment import Alignment
+    from ..evidence.evidence import Evidence
     from .place import LayoutEstimate
 
 
@@ -47,7 +49,8 @@ def compose_scene(context: StepContext) -> None:
     that it builds. The scene's picture is rendered in the background.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
-    from .place import Evidence, place
+    from ..spec.scene import scene_in_frame
+    from .place import place
     from .resized_programs import editable_programs, write_resized
 
     run, config = context.run, context.config
@@ -65,12 +68,9 @@ def compose_scene(context: StepContext) -> None:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            evidence = Evidence(
-                _rgb(run) if (run.path / PHOTO).is_file() else None,
-                boxes=not (run.path / GIVEN).is_file(),
-                # The fit keeps supports that a person chose.
-                supports=edited or (run.path / ANNOTATION).is_file(),
-            )
+            # The fit keeps supports that a person chose.
+            chosen = edited or (run.path / ANNOTATION).is_file()
+            evidence = _evidence(run, tree, supports=chosen)
             programs = None
             if options.align.enabled and options.align.dimensions:
                 programs = editable_programs(run, tree, objects, config)
@@ -82,17 +82,44 @@ def compose_scene(context: StepContext) -> None:
             if placed.alignment is not None and evidence.photo is not None:
                 start = placed.composed.scene
                 _write_alignment(run, start, placed.alignment, evidence.photo, out)
-            scene, stale = apply_layout(placed.scene, patch, options.gap_m)
+            scene, base = placed.scene, None
+            if scene.camera is not None and evidence.camera is not None:
+                base = evidence.camera.base_frame(scene.camera)
+            if base is not None:
+                scene = scene_in_frame(scene, base)
+            scene, stale = apply_layout(scene, patch, options.gap_m)
             if evidence.photo is not None and options.looks:
-                from ..align.looks import as_photographed
+                from ..estimate.looks import as_photographed
 
                 scene = as_photographed(scene, evidence.photo)
+                if base is not None:
+                    scene = scene.model_copy(update={"backdrop": None})
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             _write_json(out / "compose" / "scales.json", placed.composed.scales)
             _record_notes(run, placed)
             _record_patch(run, patch, stale)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
+
+
+def _evidence(run: RunFolder, tree: SceneTree, *, supports: bool) -> "Evidence":
+    """Return the evidence of a run, with masks assigned to the objects of the tree."""
+    from ..evidence.mask_files import matched_to
+    from .given_evidence import kept_evidence
+
+    kept, photo = kept_evidence(run), (run.path / PHOTO).is_file()
+    masks, notes = kept.masks, ()
+    if masks is not None:
+        masks, notes = matched_to(masks, tree)
+    for note in notes:
+        run.note("compose", note, "no 2D box overlaps it enough")
+    return replace(
+        kept,
+        photo=_rgb(run) if photo else None,
+        masks=masks,
+        boxes=not (run.path / GIVEN).is_file(),
+        supports=supports,
+    )
 
 
 def _unfitted(run: RunFolder, tree: SceneTree) -> SceneTree:
@@ -121,6 +148,7 @@ def _inputs(
     run, config = context.run, context.config
     align = config.compose.align
     inputs: dict[str, object] = {"tree": tree, "options": config.compose, "refits": refits, **specs}
+    inputs |= context.evidence
     if (run.path / PHOTO).is_file():
         inputs["photo"] = run.path / PHOTO
     if align.enabled and align.dimensions:
@@ -160,7 +188,7 @@ def _write_alignment(
         photo: the photograph (sRGB).
         out: folder of the step's files.
     """
-    from ..align.outlines import evidence_picture, outline_errors, outline_picture
+    from ..estimate.outlines import evidence_picture, outline_errors, outline_picture
     from ..render import to_png
 
     report, aligned = alignment.to_json(), alignment.scene

@@ -35,15 +35,21 @@ def parse_photo(context: StepContext) -> None:
 
     The tree of the model's response, before its fit, is kept as history/response/tree.json.
     """
+    from ..evidence.consistency import check_distances
     from ..parse.parse import parse
     from ..render import to_png
+    from .given_evidence import kept_evidence
 
     run, options = context.run, context.config.parse
     photo, models = context.photo_and_models()
-    with run.step("parse", {"photo": photo.sha256, "options": options}) as out:
+    inputs = {"photo": photo.sha256, "options": options, **context.evidence}
+    with run.step("parse", inputs) as out:
         if out is None:
             return
-        parsed = run_coroutine(parse(photo, models, options))
+        known = kept_evidence(run)
+        parsed = run_coroutine(parse(photo, models, options, known=known.camera))
+        if known.depth is not None:
+            check_distances(known.depth, parsed.response_tree)
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
         (out / RESPONSE_TREE).parent.mkdir(parents=True)
         (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")

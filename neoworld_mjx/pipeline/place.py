@@ -7,20 +7,19 @@ measure the steps that users run.
 import dataclasses
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-from jaxtyping import UInt8
-
-from ..align.align import align
-from ..align.alignment import Alignment
 from ..compose.compose import Composed, compose
 from ..compose.on_supports import in_contact
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
-from ..fit.fit_tree import FitReport
-from ..fit.refit import refit_tree
+from ..estimate.align import align
+from ..estimate.alignment import Alignment
+from ..estimate.fit_tree import FitReport
+from ..estimate.refit import refit_tree
+from ..evidence.evidence import Evidence, PhotoPixels
+from ..evidence.known_camera import with_known_camera
 from ..measure import SceneMeasure, shown_sides
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine
@@ -29,22 +28,6 @@ from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimens
 from ..refinement.final_alignment import FinalAlignment, align_final
 from ..refinement.scene_refinement import Refined, refine
 from ..spec import ObjectSpec, SceneSpec, SceneTree
-
-Photo = UInt8[np.ndarray, "row column 3"]
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Evidence about the layout of a scene in addition to its tree."""
-
-    photo: Photo | None = field(default=None, repr=False)
-    """The photograph (sRGB) that the camera of the tree took; without one, the scene is composed
-    and not aligned."""
-    boxes: bool = True
-    """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
-    own. The tree is then not fitted to them."""
-    supports: bool = False
-    """True if a person chose the supports, which the fit then keeps."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +78,15 @@ def place(
     """
     began = time.perf_counter()
     evidence, options = evidence or Evidence(), options or ComposeOptions()
+    known = evidence.camera
+    if known is not None:
+        tree = with_known_camera(tree, known)
     fit = None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
-        tree, fit = refit_tree(tree, objects, visible, change_supports=not evidence.supports)
+        tree, fit = refit_tree(
+            tree, objects, visible, change_supports=not evidence.supports, known=known
+        )
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -106,7 +94,11 @@ def place(
             tree, composed, composed.scene, fit, seconds=time.perf_counter() - began
         )
     realign = partial(
-        align, photo=evidence.photo, options=options.align, measured=tree.camera_measured
+        align,
+        photo=evidence.photo,
+        options=options.align,
+        measured=tree.camera_measured,
+        evidence=evidence,
     )
     alignment, freed = realign(composed.scene), None
     if options.align.dimensions and programs is not None:
@@ -163,7 +155,7 @@ def refine_placed(
     *,
     seed: int = 0,
     engine: Engine | EngineChoice | None = None,
-    photo: Photo | None = None,
+    photo: PhotoPixels | None = None,
     again: AlignOptions | None = None,
     keep: Collection[str] = (),
     model: SceneModel | None = None,

@@ -19,6 +19,7 @@ from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
 from ..spec import read_scene
 from .compose_step import compose_scene
+from .given_evidence import Given, evidence_of_run, keep_evidence, kept_inputs, undistorted_photo
 from .object_steps import parse_photo, program_objects, verify_objects
 from .scene_steps import export_files, refine_layout, write_metrics
 from .step_context import COMPOSED, TAPE, TREE, Pictures, StepContext, read_tree
@@ -46,6 +47,7 @@ def reconstruct(
     record: Path | None = None,
     mailbox: Path | None = None,
     tapes: tuple[Path, ...] = (),
+    evidence: Given | None = None,
 ) -> Result:
     """Turn one photograph into a simulation-ready scene (paper Figure 2).
 
@@ -65,6 +67,8 @@ def reconstruct(
         mailbox: folder in which the provider `mailbox` exchanges requests and responses; by default
             `mailbox` in the run folder.
         tapes: additional tapes, or folders of tapes, for the provider `replay`.
+        evidence: what is known of the camera, the depths and the masks of the photograph, or the
+            path of an evidence file. A run that continues keeps its own unless another is given.
 
     Raises:
         NeoWorldError: the run fails. The subclass tells the cause: the photograph, the
@@ -73,8 +77,16 @@ def reconstruct(
     photo, out = _path(photo, "photo"), _path(out, "out")
     config = _checked_config(config)
     mode = _mode(until, resume=resume, start=start, overwrite=overwrite)
+    if evidence is not None and start not in (None, "parse"):
+        raise RunError(
+            f"--from {start} keeps the parse and its evidence: give new evidence with --resume, "
+            "which repeats the steps that it changes"
+        )
     with bounded_by(config.files):
         picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
+        continues = mode in ("resume", "redo")
+        known = evidence_of_run(picture, evidence, out if continues else None)
+        picture = undistorted_photo(picture, known.evidence)
         open_models = partial(
             open_panel,
             config.mllm,
@@ -90,7 +102,7 @@ def reconstruct(
             require_blender()
         open_models()  # Report a wrong provider or key before anything is written to the folder.
         other_photo = _other_photo(out, picture)
-        if other_photo and mode in ("resume", "redo"):
+        if other_photo and continues:
             raise RunError(
                 f"{out} is a run of another photograph ({other_photo}), not of {photo}: use that "
                 "one, replace the run with --overwrite, or name another folder"
@@ -100,6 +112,7 @@ def reconstruct(
             if other_photo:
                 (run.path / TAPE).unlink(missing_ok=True)
             models = open_models(record=record or out / TAPE)
+            keep_evidence(run, known)
             run_steps(run, config, models, picture, until=until)
             return finish(run, until)
 
@@ -124,7 +137,7 @@ def run_steps(
         until: last step; if None, run all later steps.
     """
     with recorded_costs(run, models), Pictures(run, config.render) as pictures:
-        context = StepContext(run, config, photo, models, pictures)
+        context = StepContext(run, config, photo, models, pictures, kept_inputs(run))
         for step in STEPS[STEPS.index(first) :]:
             STEP_FUNCTIONS[step](context)
             pictures.store()

@@ -4,7 +4,7 @@ A rescue is a run whose Steps 1 to 3 are read from a file: the meshes take the p
 and their poses that of the parse. Steps 4 and 5, files and report are those of every run.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,12 @@ from jaxtyping import UInt8
 from ..config import Config
 from ..engines import EngineChoice
 from ..errors import PhotoError, RunError
+from ..evidence.evidence import Evidence
+from ..evidence.evidence_file import StatedEvidence, evidence_of, stated_camera, undistorted
+from ..evidence.file_camera import FileCamera
+from ..evidence.known_camera import KnownCamera
 from ..export.importing import ImportedScene, import_file
-from ..export.read_mesh_scene import CAMERA_HELP, FileCamera, Viewpoint, read_camera, viewpoint
+from ..export.read_mesh_scene import CAMERA_HELP, Viewpoint, viewpoint
 from ..io import bounded_by
 from ..measure import object_moves
 from ..parse.photo import load_photo
@@ -23,8 +27,9 @@ from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import transformed_scene
+from .given_evidence import RunEvidence, keep_evidence
 from .mesh_tree import MeshTree, mesh_tree
-from .place import Evidence, LayoutEstimate, RefinedPlacement, place, refine_placed
+from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, TREE
 
@@ -34,7 +39,7 @@ class Photographed:
     """The photograph of a given scene."""
 
     rgb: UInt8[np.ndarray, "row column 3"] = field(repr=False)
-    """Colors (sRGB), cropped to the image of the camera."""
+    """Colors (sRGB), undistorted to the image of the camera."""
     view: Viewpoint
 
 
@@ -109,7 +114,7 @@ def rescue_file(
     config: Config | None = None,
     *,
     photo: Path | None = None,
-    camera: Path | None = None,
+    evidence: StatedEvidence | None = None,
 ) -> Result:
     """Rescue a glTF scene or a poses.json into a run folder.
 
@@ -118,9 +123,11 @@ def rescue_file(
         out: run folder, new or empty.
         config: options.
         photo: the photograph of the scene, with which its objects are aligned.
-        camera: camera.json of the photograph; by default, the camera in the scene's file.
+        evidence: evidence about the photograph. Without a camera, that of the scene's file is used;
+            a base frame is the scene's world.
 
     Raises:
+        EvidenceError: a file cannot be read, or contradicts the photograph.
         SpecError: a file cannot be read, or no object is free to move.
         PhotoError: as for `photographed`.
         RunError: the folder is not empty, or cannot be written.
@@ -128,22 +135,25 @@ def rescue_file(
     c = config or Config()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RunError(f"{out} is not empty; name a new folder")
-    if camera is not None and photo is None:
-        raise PhotoError("--camera is the camera of a photograph: give it by --photo")
+    if evidence is not None and photo is None:
+        raise PhotoError("this evidence is about a photograph: give it by --photo")
     with bounded_by(c.files):
         imported = import_file(file)
         if not isinstance(imported, ImportedScene):
             raise RunError(f"{file} contains one object; rescue needs a scene")
-        picture = None
+        picture, known, camera = None, Evidence(), None
         if photo is not None:
-            stated = None if camera is None else read_camera(camera)
-            picture = photographed(photo, imported.camera, stated, c.parse.max_side_px)
+            given = evidence or StatedEvidence()
+            camera, _ = stated_camera(given, photo.name)
+            picture = photographed(photo, imported.camera, camera, c.parse.max_side_px)
+            known = _known(given, photo, picture, c.parse.max_side_px)
         meshes, c = _meshes(imported, picture), _config(c, picture)
         notes = [*imported.notes, *meshes.notes]
         if picture is not None and camera is None:
             notes.append(f"the camera of the photograph is taken from {file.name}")
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
+            keep_evidence(run, RunEvidence(known))
             _write_given(run, file, meshes, picture)
             for note in notes:
                 run.note("parse", note, f"read from {file.name}")
@@ -163,20 +173,33 @@ def photographed(
         max_side_px: longest side to which the picture is reduced [px].
 
     Raises:
-        PhotoError: the file is not a picture, or the camera is incomplete or does not match the
-            photograph.
+        EvidenceError: the camera does not match the photograph.
+        PhotoError: the file is not a picture, or the camera is incomplete.
     """
     if stated is None and camera is None:
         raise PhotoError(f"{file}: the scene's file states no camera: {CAMERA_HELP}")
     full = (camera or FileCamera()).completed_by(stated)
     read = load_photo(file, max_side_px)
-    width, height = read.original_size
-    view = viewpoint(full, width, height)
-    scale = read.scale
-    left, top = round(scale * view.left), round(scale * view.top)
-    right = left + round(scale * view.camera.width)
-    bottom = top + round(scale * view.camera.height_px)
-    return Photographed(read.rgb[top:bottom, left:right], view)
+    view = viewpoint(full, *read.original_size)
+    rgb = undistorted(Evidence(photo=read.rgb, lens=view.lens)).photo
+    assert rgb is not None
+    return Photographed(rgb, view)
+
+
+def _known(given: StatedEvidence, photo: Path, picture: Photographed, max_side: int) -> Evidence:
+    """Return the evidence about a photograph whose camera is `picture.view.camera`."""
+    taken, camera = load_photo(photo, max_side), picture.view.camera
+    known = evidence_of(given, photo.name, taken.rgb, taken.original_size)
+    size = (camera.width, camera.height_px)
+    source = "the scene's file" if known.camera is None else known.camera.source
+    exact = KnownCamera(
+        *(size, camera.focal),
+        principal=camera.principal,
+        pitch=camera.pitch,
+        roll=camera.roll,
+        source=source,
+    )
+    return replace(known, camera=exact, lens=picture.view.lens)
 
 
 def _meshes(imported: ImportedScene, photo: Photographed | None) -> MeshTree:

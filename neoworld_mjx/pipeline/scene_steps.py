@@ -26,7 +26,7 @@ from .step_context import (
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..compose.layout_patch import read_layout_patch
-    from ..fit.fit_tree import NOTED_M, NOTED_SIZE
+    from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
     from ..measure import box_iou, object_moves, scene_checks
     from .place import refine_placed
 

@@ -119,6 +119,8 @@ class StepContext:
     models: Panel | None
     """The models; None if no step needs a model."""
     pictures: Pictures
+    evidence: dict[str, object] = field(default_factory=dict)
+    """Inputs of the steps that use the evidence of the user; empty without evidence."""
 
     def photo_and_models(self) -> tuple[Photo, Panel]:
         """Return the photograph and the models, for steps that require them."""

@@ -14,10 +14,10 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from ..align.alignment import Alignment, DimensionEdit, FreedObject
-from ..align.colors import LabImage, gain
-from ..align.outlines import outline_errors
-from ..align.rasterize import draw_scene, height_of
+from ..estimate.alignment import Alignment, DimensionEdit, FreedObject
+from ..estimate.colors import LabImage, gain
+from ..estimate.outlines import outline_errors
+from ..estimate.rasterize import draw_scene, height_of
 from ..spec import ObjectSpec, SceneSpec
 from .named_constants import (
     Candidate,

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..align.alignment import FittedUnknowns
-from ..align.colors import gain
-from ..align.contours import ShapeEvidence
-from ..align.rasterize import DrawnObjects, WorldMesh, draw_objects
+from ..estimate.alignment import FittedUnknowns
+from ..estimate.colors import gain
+from ..estimate.contours import ShapeEvidence
+from ..estimate.rasterize import DrawnObjects, WorldMesh, draw_objects
 from ..spec import ObjectSpec, bounds
 
 RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..align.align import FINE_PX, align_again
-from ..align.colors import SAME_PX, LabImage, is_supported
-from ..align.rasterize import draw_scene, height_of, pixels_of
 from ..config import AlignOptions, RefineOptions
+from ..estimate.align import FINE_PX, align_again
+from ..estimate.colors import SAME_PX, LabImage, is_supported
+from ..estimate.rasterize import draw_scene, height_of, pixels_of
 from ..measure import SceneMeasure
 from ..physics.model import compile_scene
 from ..physics.settling import settle_scene

@@ -43,8 +43,12 @@ class View(NamedTuple):
             width = max(1, round(rows * camera.width / camera.height_px))
         if height is None:
             height = max(1, round(width * camera.height_px / camera.width))
+        centre = None
+        if any(camera.principal):
+            u, v = camera.resized(width, height).center
+            centre = (float(u), float(v))
         position, axes = camera.position(), camera.axes()
-        return cls(position, axes, camera.fovy, width, height, gain=camera.gain)
+        return cls(position, axes, camera.fovy, width, height, centre, camera.gain)
 
     @classmethod
     def look_at(
@@ -118,7 +122,8 @@ class View(NamedTuple):
         scale = longer_side / max(x1 - x0, y1 - y0)
         width, height = max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale))
         fovy = 2 * math.atan(height / 2 / (camera.focal * scale))
-        centre = ((camera.width / 2 - x0) * scale, (camera.height_px / 2 - y0) * scale)
+        u, v = camera.center.tolist()
+        centre = ((u - x0) * scale, (v - y0) * scale)
         return cls(camera.position(), camera.axes(), fovy, width, height, centre)
 
     def resized(self, width: int, height: int) -> "View":

@@ -136,6 +136,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "device": {"machine": platform.machine(), "cores": os.cpu_count()},
         "metrics": {},
         **{key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps")},
+        **({"evidence": earlier["evidence"]} if "evidence" in earlier else {}),
         "notes": earlier.get("notes", []),
     }
 

@@ -6,6 +6,7 @@ parent. The parent's frame has the origin and the yaw of the parent, but not the
 """
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -258,6 +259,29 @@ def transformed_scene(scene: SceneSpec, transform: Pose) -> SceneSpec:
             item = item.model_copy(update=update)
         objects.append(item)
     return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def scene_in_frame(scene: SceneSpec, frame: Pose) -> SceneSpec:
+    """Return a scene in another frame whose z also points up, with its camera and no backdrop.
+
+    Args:
+        scene: the scene.
+        frame: pose of the scene's world frame in the new frame [m].
+
+    Raises:
+        SpecError: z of the new frame does not point up.
+    """
+    turn = yaw_of(frame.quat)
+    if abs(float(from_yaw(turn) @ frame.quat)) < 1 - 1e-12:
+        raise SpecError(f"scene {scene.name} cannot be expressed in a tilted frame")
+    camera = scene.camera
+    if camera is not None:
+        x, y, z = frame.apply(camera.position()).tolist()
+        yaw = math.remainder(camera.yaw + turn, 2 * math.pi)
+        camera = camera.model_copy(update={"xy": (x, y), "height": z, "yaw": yaw})
+    moved = transformed_scene(scene, frame)
+    # A backdrop is perpendicular to x of its world.
+    return moved.model_copy(update={"camera": camera, "backdrop": None})
 
 
 def with_layout(

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config import Config
 from ..errors import NeoWorldError, SpecError
+from ..evidence.known_camera import KnownCamera
 from ..io.names import is_name
-from ..parse.photo import load_photo
+from ..parse.photo import Photo
 from ..program.supports import MATERIALS
 from ..render.tiles import RGB
 from ..run_folder import Result
@@ -49,18 +49,17 @@ CHOSEN, OTHER, SOLID, GRID = (255, 210, 60), (90, 170, 255), (120, 230, 140), (2
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
-def empty_annotation(photo: Path, config: Config) -> Annotation:
-    """Return an annotation without objects for a photograph."""
-    width, height = load_photo(photo, config.parse.max_side_px).original_size
-    return Annotation(
-        camera=Camera(
-            width=width,
-            height_px=height,
-            fovy=math.radians(FOVY_DEG),
-            height=HEIGHT_M,
-            pitch=math.radians(PITCH_DEG),
-        )
+def empty_annotation(photo: Photo, known: KnownCamera | None = None) -> Annotation:
+    """Return an annotation without objects for a photograph, with what is known of its camera."""
+    width, height = photo.original_size
+    camera = Camera(
+        width=width,
+        height_px=height,
+        fovy=math.radians(FOVY_DEG),
+        height=HEIGHT_M,
+        pitch=math.radians(PITCH_DEG),
     )
+    return Annotation(camera=camera if known is None else known.camera(camera))
 
 
 class Annotator:
@@ -75,27 +74,25 @@ class Annotator:
     def __init__(
         self,
         server: Any,
-        photo: Path,
+        photo: Photo,
         out: Path,
         annotation: Annotation,
-        config: Config,
         write: Callable[[Annotation, bool], Result],
     ):
         """Show a photograph with its annotation.
 
         Args:
             server: the viser server.
-            photo: the image file.
+            photo: the photograph.
             out: the run folder to write.
             annotation: the initial annotation.
-            config: options of the run.
             write: function that writes an annotation into the run folder; if its second argument
                 is True, it also simulates the scene.
         """
         self._write_annotated = write
         self._server, self._out = server, out
         self.annotation = annotation
-        self._picture = shown_picture(load_photo(photo, config.parse.max_side_px).rgb)
+        self._picture = shown_picture(photo.rgb)
         self._nodes = SceneNodes(server, lambda _: None)
         self._selected = ""
         self._draws_box = False
@@ -395,7 +392,7 @@ def pixel_of(view: Any, camera: Camera, position: tuple[float, float]) -> NDArra
     focal = view.image_height / 2 / math.tan(view.fov / 2)
     offset = (np.array(position) - 0.5) * window * camera.focal / focal
     size = np.array([camera.width, camera.height_px])
-    return np.clip(size / 2 + offset, 0.0, size)
+    return np.clip(camera.center + offset, 0.0, size)
 
 
 def _outline(camera: Camera, box: Box2D) -> NDArray:

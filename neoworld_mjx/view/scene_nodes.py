@@ -129,6 +129,7 @@ def add_picture(server: Any, camera: Camera, picture: NDArray, distance: float) 
         distance: distance of the plane from the camera [m].
     """
     axes, height = camera.axes(), 2 * distance * np.tan(camera.fovy / 2)
+    middle = np.array([-camera.principal[0], -camera.principal[1], camera.focal]) / camera.focal
     server.scene.add_image(
         "/photo",
         picture,
@@ -138,7 +139,7 @@ def add_picture(server: Any, camera: Camera, picture: NDArray, distance: float) 
         cast_shadow=False,
         receive_shadow=False,
         wxyz=from_matrix(axes),
-        position=camera.position() + distance * axes[:, 2],
+        position=camera.position() + distance * (axes @ middle),
     )
 
 

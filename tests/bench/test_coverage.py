@@ -10,7 +10,7 @@ from neoworld_bench.methods.interval_coverage import (
 )
 
 from neoworld_mjx.spec.scene import PoseUncertainty
-from tests.align import desk
+from tests.estimate import desk
 
 KNOWN = PoseUncertainty(along=0.01, across=0.002, yaw=math.radians(2), log_scale=0.03)
 

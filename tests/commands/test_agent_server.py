@@ -338,6 +338,38 @@ def test_a_hostile_session_file_is_refused(tmp_path):
     asyncio.run(use())
 
 
+def test_a_known_camera_is_told_to_the_agent_and_used_in_previews(tmp_path):
+    camera = {"width": 600, "height": 400, "fx": 900, "fy": 900, "cx": 300, "cy": 200}
+    (tmp_path / "known.yaml").write_text(json.dumps({"camera": camera}))
+    (tmp_path / "stolen.yaml").write_text(json.dumps({"camera": "../camera.json"}))
+    (tmp_path / "depth.yaml").write_text(json.dumps({"depth": {"file": "/etc/passwd"}}))
+
+    async def use():
+        async with agent(tmp_path) as coffee:
+            for file in ("stolen.yaml", "depth.yaml", "../known.yaml"):
+                message = await refused(coffee.call("start", photo="coffee", evidence=file))
+                assert "outside the folder of this server" in message
+            await coffee.call("start", photo="coffee", evidence="known.yaml")
+            text, _ = await coffee.call("next_request")
+            assert "25.06" in text or "25.1" in text  # 2 atan(200 / 900)
+            parse = next(e for e in coffee.tape.answers.values() if e.name == "parse").answer
+            known, _ = await coffee.call("preview", response=parse)
+            assert "cup: box 172 17 409 308; 3D box" in known
+        return known
+
+    known = asyncio.run(use())
+    shutil.rmtree(tmp_path / "coffee-scene")
+    (tmp_path / ".neoworld-agent.json").unlink()
+
+    async def without():
+        async with agent(tmp_path) as coffee:
+            await coffee.call("start", photo="coffee", out="other")
+            parse = next(e for e in coffee.tape.answers.values() if e.name == "parse").answer
+            return (await coffee.call("preview", response=parse))[0]
+
+    assert asyncio.run(without()) != known
+
+
 def test_a_mailbox_that_leads_out_is_refused(tmp_path):
     folder, other = tmp_path / "desk", tmp_path / "other"
     (folder / "coffee-scene").mkdir(parents=True)

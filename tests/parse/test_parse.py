@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import ModelError
-from neoworld_mjx.fit.tree_checks import check_tree
+from neoworld_mjx.estimate.tree_checks import check_tree
 from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.prompts import SceneCritique
 from neoworld_mjx.parse.schema import ParsedScene, to_tree

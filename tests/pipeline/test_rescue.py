@@ -21,17 +21,20 @@ from neoworld_bench.rescues.rescue_rows import (
 from PIL import Image
 
 from neoworld_mjx import cli
-from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import PhotoError, RunError, SpecError
+from neoworld_mjx.errors import EvidenceError, PhotoError, RunError, SpecError
+from neoworld_mjx.estimate.alignment import Alignment
+from neoworld_mjx.evidence.camera_files import read_camera
+from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.evidence_file import StatedEvidence
+from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import import_file
-from neoworld_mjx.export.read_mesh_scene import FileCamera, read_camera
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline import place as place_module
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
-from neoworld_mjx.pipeline.place import Evidence, place
+from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, world_poses
@@ -290,12 +293,12 @@ def test_wrong_cameras_of_a_photograph_give_one_message(
     file = tmp_path / "camera.json"
     if camera is not None:
         file.write_text(json.dumps(camera))
-    with pytest.raises((PhotoError, SpecError), match=message):
+    with pytest.raises((EvidenceError, PhotoError, SpecError), match=message):
         rescue_file(
             photographed_meshes,
             tmp_path / "out",
             photo=tmp_path / "photo.png" if photo else None,
-            camera=None if camera is None else file,
+            evidence=None if camera is None else StatedEvidence(camera=str(file)),
         )
     assert not (tmp_path / "out").exists()
 

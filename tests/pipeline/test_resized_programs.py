@@ -15,7 +15,7 @@ from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import ObjectSpec, bounds, read_scene
 from neoworld_mjx.verify.patch import MaterialEdit, Patch, apply, read_patch, write_patch
 from neoworld_mjx.view.report.photograph import photograph_section
-from tests.align import desk
+from tests.estimate import desk
 from tests.program.test_freed_dimensions import BRICK, WRONG, composed_with, object_of
 
 CONFIG = load_config(None, {"compose": {"align": {"dimensions": True}, "looks": False}})

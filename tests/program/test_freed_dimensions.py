@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.align import align
+from neoworld_mjx.estimate.align import align
 from neoworld_mjx.program.freed_dimensions import (
     EditablePrograms,
     free_dimensions,
@@ -11,7 +11,7 @@ from neoworld_mjx.program.freed_dimensions import (
 from neoworld_mjx.program.named_constants import named_constants, sensitivities, with_value
 from neoworld_mjx.program.sandbox import build, run
 from neoworld_mjx.spec import bounds, scale
-from tests.align import desk
+from tests.estimate import desk
 
 BRICK = """# A brick, given box 0.12 x 0.07 x 0.06 m.
 from neoworld_mjx.program.sdk import Object, box

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.align.alignment import Alignment
 from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
 from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.measure import passes
 from neoworld_mjx.refinement import final_alignment
 from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.scene import PoseUncertainty
-from tests.align import desk
+from tests.estimate import desk
 
 MOVED = {"box": (8.0, -6.0, 4.0, 2.0), "can": (-6.0, 6.0, 0.0, 0.0)}
 """Displacements of a correct composed scene by the refinement: dx, dy [mm], yaw [deg], size [%]."""

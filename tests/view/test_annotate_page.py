@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.measure import measured, passes
+from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline.annotated import write_annotated
 from neoworld_mjx.spec import read_scene
 from tests.support.annotations import CUP, FOVY_DEG, HEIGHT_M, PITCH_DEG, SAUCER
@@ -26,7 +27,7 @@ def test_a_photograph_becomes_a_stable_scene_by_clicks_only(photo, quick_config,
     server = open_server("test", port=0)
     try:
         annotator = Annotator(
-            *(server, photo, out, empty_annotation(photo, quick_config), quick_config),
+            *(server, load_photo(photo), out, empty_annotation(load_photo(photo))),
             lambda annotation, simulate: write_annotated(
                 photo, out, annotation, quick_config, simulate=simulate
             ),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.spec import Box2D
 from neoworld_mjx.view.annotate_page import Annotator, empty_annotation, pixel_of
 from neoworld_mjx.view.annotated_tree import annotated_tree, annotation_from_tree
@@ -55,7 +56,7 @@ def test_window_positions_map_to_pixels_of_the_photograph():
 
 
 @pytest.fixture
-def opened_page(photo, quick_config):
+def opened_page(photo):
     """Open annotations on pages, and stop their servers after the test."""
     pytest.importorskip("viser", reason="the extra viewer is not installed")
     from neoworld_mjx.view.server import close_server, open_server
@@ -64,9 +65,9 @@ def opened_page(photo, quick_config):
 
     def opened(annotation=None):
         servers.append(open_server("test", port=0))
-        begin = annotation or empty_annotation(photo, quick_config)
+        begin = annotation or empty_annotation(load_photo(photo))
         out = photo.parent / "no_run"
-        return Annotator(servers[-1], photo, out, begin, quick_config, lambda *_: pytest.fail())
+        return Annotator(servers[-1], load_photo(photo), out, begin, lambda *_: pytest.fail())
 
     yield opened
     for server in servers:

@@ -20,9 +20,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
-from neoworld_mjx.fit.fit_tree import fit_tree
-from neoworld_mjx.fit.tree_checks import SceneIssue, check_score, check_tree
-from neoworld_mjx.pipeline.place import Evidence, LayoutEstimate, place
+from neoworld_mjx.estimate.fit_tree import fit_tree
+from neoworld_mjx.estimate.tree_checks import SceneIssue, check_score, check_tree
+from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.pipeline.place import LayoutEstimate, place
 from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 

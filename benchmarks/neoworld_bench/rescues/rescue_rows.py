@@ -14,8 +14,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import scene_of_assemblies
-from neoworld_mjx.export.read_mesh_scene import FileCamera, mesh_object, viewpoint
+from neoworld_mjx.export.read_mesh_scene import mesh_object, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import Photographed, rescue
 from neoworld_mjx.render import render_scene

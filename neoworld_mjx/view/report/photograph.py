@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ...fit.priors import YAW
+from ...estimate.priors import YAW
 from ...measure import object_moves
 from ...spec import read_scene
 from .page import elements, picture, read_json

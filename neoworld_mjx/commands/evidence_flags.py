@@ -1,0 +1,46 @@
+"""Flags of the commands that take evidence about a photograph: its camera, depths and masks."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..evidence.evidence_file import StatedEvidence
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvidenceFlags:
+    """Evidence that the user has; see docs/how-to/give-evidence.md."""
+
+    camera: Path | None = None
+    """Calibrated camera of the photograph: JSON or YAML, ROS camera_info, BOP, nerfstudio's
+    transforms.json, a folder of COLMAP, or K.npy."""
+    depth: Path | None = None
+    """Depth image of the photograph's view: a 16-bit PNG in millimeters, or .npy in meters."""
+    masks: Path | None = None
+    """Masks of the objects: an image of numbers, or a folder with a PNG of each object."""
+    gravity: tuple[float, float, float] | None = None
+    """Direction in which things fall, in the camera's frame; 0 1 0 is a level camera."""
+    base: Path | None = None
+    """Pose of the camera in a robot's base frame, in which the scene is then expressed."""
+    ground: float | None = None
+    """Height of the scene's plane z = 0, such as the table's top, in the base frame [m]."""
+    evidence: Path | None = None
+    """YAML file that names all of these; other flags take precedence."""
+
+    def stated(self) -> "StatedEvidence | None":
+        """Return the stated evidence; None if no flag is given."""
+        from ..evidence.evidence_file import StatedEvidence, read_stated
+
+        flags: dict[str, Any] = {
+            name: str(value)
+            for name in ("camera", "depth", "masks", "base")
+            if (value := getattr(self, name)) is not None
+        }
+        for name in ("gravity", "ground"):
+            if (value := getattr(self, name)) is not None:
+                flags[name] = value
+        own = StatedEvidence(**flags)
+        if self.evidence is not None:
+            return read_stated(self.evidence).overridden(own)
+        return own if flags else None

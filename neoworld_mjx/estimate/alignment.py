@@ -1,0 +1,373 @@
+"""Result of the alignment: the aligned scene, its changes, and their uncertainty.
+
+Prior of the alignment: how far the composed scene may be from the photographed one.
+
+Most standard deviations are those of the fit (`priors`), which placed the objects. The priors
+of objects and joints are Student's t distributions, because most objects are almost right and some
+are far off. So is that of the camera's pitch, which vertical edges can contradict.
+"""
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..spec import SceneSpec
+from ..spec.scene import PoseUncertainty
+from .contours import ShapeEvidence
+from .open_joints import OpenJoint
+from .priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
+from .unknowns import CAMERA, EACH, STRETCH, TILT, Placement, Unknowns
+
+NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
+"""Changes of position [m], size (relative) and heading [deg] above which a note reports them."""
+NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
+"""Changes of the camera's angles [deg] and height (relative) above which a note reports them."""
+
+EvidenceKind = Literal["pixels", "box", "none"]
+"""Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
+
+
+@dataclass(frozen=True)
+class JointAlignment:
+    """Change of one open joint by the alignment; in rad for hinges and m for slides."""
+
+    slides: bool
+    value: float
+    """Position after the alignment."""
+    change: float
+    """Change from the composed position; positive if the joint moves farther from 0."""
+    deviation: float
+    """Standard deviation of the position."""
+
+    @property
+    def is_far(self) -> bool:
+        """True if the change is so large that a note reports it."""
+        return abs(self.change) > (NOTED_M if self.slides else math.radians(NOTED_DEG))
+
+    def phrase(self) -> str:
+        """Return a phrase that states the opening, and its change from the composed scene."""
+        text = lambda x: f"{100 * x:.1f} cm" if self.slides else f"{math.degrees(x):.0f} deg"
+        more = "more" if self.change > 0 else "less"
+        by = f"{text(abs(self.change))} {more} than composed" if self.change else "as composed"
+        return f"opens {text(abs(self.value))}, {by} (± {text(self.deviation)})"
+
+
+@dataclass(frozen=True)
+class ObjectAlignment:
+    """Change of one object by the alignment."""
+
+    evidence: EvidenceKind
+    reason: str
+    """Reason why contours do not determine the object's pose; empty if they do."""
+    shift_m: tuple[float, float]
+    """Change of the position in the frame of the object's support [m]; for an object attached to a
+    wall, along the wall and up."""
+    yaw_deg: float
+    size_ratio: float
+    uncertainty: PoseUncertainty
+    joints: dict[str, JointAlignment] = field(default_factory=dict)
+    """Changes of the object's open joints, by name."""
+
+
+@dataclass(frozen=True)
+class FittedUnknowns:
+    """Unknowns of an alignment, and their estimated values."""
+
+    unknowns: Unknowns
+    x: Float[np.ndarray, " u"]
+    shapes: dict[int, ShapeEvidence]
+    """Contour evidence on the proportions of each object, by index; objects without contour
+    evidence are missing."""
+
+
+@dataclass(frozen=True)
+class DimensionEdit:
+    """Change of a named constant of an object's program."""
+
+    constant: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class FreedObject:
+    """Changes of the dimensions of an object's program."""
+
+    edits: tuple[DimensionEdit, ...]
+    outline_before_px: float | None = None
+    """Distance of the object's outline from the photograph's before the change; see
+    `outline_errors`."""
+    outline_after_px: float | None = None
+
+    def phrase(self) -> str:
+        """Return the changes in one line."""
+        edits = [f"{e.constant} {e.before:.4g} -> {e.after:.4g}" for e in self.edits]
+        if self.outline_before_px is not None and self.outline_after_px is not None:
+            px = self.outline_before_px, self.outline_after_px
+            edits.append("outline {:.1f} -> {:.1f} px".format(*px))
+        return ", ".join(edits)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Result of `align`."""
+
+    scene: SceneSpec
+    """The aligned scene, with its camera and each object's uncertainty."""
+    pitch_deg: float = 0.0
+    """Change of the camera's pitch; the next three fields are the changes of its other
+    parameters."""
+    roll_deg: float = 0.0
+    fovy_deg: float = 0.0
+    height_m: float = 0.0
+    objects: dict[str, ObjectAlignment] = field(default_factory=dict)
+    failure: str = ""
+    """Reason why the alignment failed, in which case `scene` is the composed scene; empty if it did
+    not fail."""
+    dimensions: dict[str, FreedObject] = field(default_factory=dict)
+    """Changes of the dimensions in programs, by object; empty unless `compose.align.dimensions` is
+    set."""
+    fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
+    """Unknowns and their estimates; None if there were no unknowns or if the solver failed."""
+
+    def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
+        """Yield a note, as a title and a text, for each large change of the camera or an object.
+
+        Joints that moved far and changed dimensions have notes, too.
+
+
+        Args:
+            before: the composed scene.
+        """
+        camera = before.camera
+        turned = max(abs(self.pitch_deg), abs(self.roll_deg), abs(self.fovy_deg))
+        if camera is not None and (
+            turned > NOTED_VIEW_DEG or abs(self.height_m) > NOTED_HEIGHT * abs(camera.height)
+        ):
+            yield (
+                "a camera that differs from the response's",
+                f"the photograph's contours turned it by {self.pitch_deg:+.1f} deg in pitch and "
+                f"{self.roll_deg:+.1f} deg in roll, changed its field of view by "
+                f"{self.fovy_deg:+.1f} deg and its height by {100 * self.height_m:+.0f} cm",
+            )
+        for name, change in self.objects.items():
+            distance = math.hypot(*change.shift_m)
+            if (
+                distance > NOTED_M
+                or abs(change.size_ratio - 1) > NOTED_SIZE
+                or abs(change.yaw_deg) > NOTED_DEG
+            ):
+                degrees = round(change.yaw_deg)  # An integer is never written as "-0".
+                yield (
+                    f"{name} far from its composed pose",
+                    f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
+                    f"{change.size_ratio:.2f} and turned it by {degrees:+d} deg",
+                )
+            for joint, opening in change.joints.items():
+                if opening.is_far:
+                    phrase = f"in the photograph joint {joint} {opening.phrase()}"
+                    yield f"{name} with a joint opened differently than composed", phrase
+        for name, freed in self.dimensions.items():
+            yield f"{name} has other dimensions than its program", freed.phrase()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the changes as JSON data, without the scene."""
+        camera = ("pitch_deg", "roll_deg", "fovy_deg", "height_m")
+        return {
+            **{name: round(getattr(self, name), 5) for name in camera},
+            "objects": {
+                name: {
+                    "evidence": change.evidence,
+                    "reason": change.reason,
+                    "shift_m": [round(x, 5) for x in change.shift_m],
+                    "yaw_deg": round(change.yaw_deg, 3),
+                    "size_ratio": round(change.size_ratio, 5),
+                    "uncertainty": change.uncertainty.model_dump(mode="json"),
+                    **_joints(change.joints),
+                }
+                for name, change in self.objects.items()
+            },
+            **({"dimensions": self._dimensions()} if self.dimensions else {}),
+        }
+
+    def _dimensions(self) -> dict[str, Any]:
+        return {
+            name: asdict(freed) | {"phrase": freed.phrase()}
+            for name, freed in self.dimensions.items()
+        }
+
+
+def _joints(joints: dict[str, JointAlignment]) -> dict[str, Any]:
+    """Return the JSON data of open joints; an empty dict if there are none."""
+    data = {
+        name: {
+            "value": round(joint.value, 5),
+            "change": round(joint.change, 5),
+            "deviation": round(joint.deviation, 5),
+            "phrase": joint.phrase(),
+        }
+        for name, joint in joints.items()
+    }
+    return {"joints": data} if data else {}
+
+
+FREEDOM = 4.0
+"""Degrees of freedom of the t distributions."""
+ROLL = np.radians(1.0)
+"""Standard deviation of the camera's roll [rad]."""
+LOG_FOCAL, LOG_FOCAL_MISJUDGED = 0.04, 0.2
+"""Standard deviation of the log focal length if the field of view is not misjudged, and if it
+is."""
+MISJUDGED = 0.4
+"""Share of responses that misjudge the field of view; two of five responses to rendered images
+did."""
+MEASURED = 0.5
+"""Factor that multiplies the standard deviations of camera parameters that the response
+measured."""
+LOG_STRETCH = 0.03
+"""Standard deviation of the log stretch of a program's shape along an axis. The contours of a wrong
+shape contradict one another. Without these nuisance unknowns, the layout and the camera would
+absorb the contradiction."""
+LOG_PART_STRETCH = 0.06
+"""Standard deviation of the log stretch of the parts that a hinge moves: a change of a door's
+length changes the image as a change of its angle does."""
+FIXED_YAW = 1e-4
+"""Standard deviation of the heading of an object that is round or attached to a wall [rad]."""
+SUPPORTED = 0.15
+"""Standard deviation of the position of an object on a movable support, relative to the shorter
+horizontal side of the support."""
+OPENING = 0.06
+"""Standard deviation of a joint's opening, relative to the joint's range. The response estimates
+the opening from a ratio of two lengths in the image."""
+RANGE = 0.26
+"""Standard deviation of the log range of a joint in a program. The parsed opening is a share of
+this range."""
+RISE_M, LEVEL_M = 0.003, 1e-6
+"""Standard deviation of the height above a support, if the height is unknown, and of an object that
+is attached to a wall, whose height is another unknown [m]."""
+TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
+"""Changes of a log size and of a height above a support up to which a t distribution has heavy
+tails, if there is a depth image."""
+LEAST_CLEARANCE_M = 0.005
+"""Least standard deviation of the position of an object in a container [m]."""
+
+
+def camera_deviations(
+    measured: Collection[str], known: Mapping[str, float], *, misjudged: bool
+) -> Float[np.ndarray, " 4"]:
+    """Return the standard deviations of pitch and roll [rad], log focal length and log height.
+
+    Args:
+        measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
+        known: standard deviations of known parameters, as `KnownCamera.deviations`.
+        misjudged: True if the field of view is or may be misjudged.
+    """
+    names = ("pitch", "roll", "fovy", "height")
+    deviations = np.array(
+        [PITCH, ROLL, LOG_FOCAL_MISJUDGED if misjudged else LOG_FOCAL, LOG_HEIGHT]
+    )
+    deviations *= [MEASURED if name in measured else 1.0 for name in names]
+    known_names = ("pitch", "roll", "focal", "height")
+    pairs = zip(known_names, deviations.tolist(), strict=True)
+    return np.array([known.get(name, deviation) for name, deviation in pairs])
+
+
+def is_misjudged(log_focal: float, deviation: float) -> bool:
+    """Return whether a field of view is more probably misjudged than not.
+
+    The prior of the log focal length is a mixture of two Gaussians. The wider one has the weight
+    MISJUDGED.
+
+    Args:
+        log_focal: estimate of the log focal length with the wide prior, minus the value of the
+            response.
+        deviation: standard deviation of the estimate.
+    """
+    log_odds = math.log(MISJUDGED / (1 - MISJUDGED))
+    for sign, width in ((1, LOG_FOCAL_MISJUDGED), (-1, LOG_FOCAL)):
+        variance = width**2 + deviation**2
+        log_odds -= sign * (math.log(variance) + log_focal**2 / variance) / 2
+    return log_odds > 0
+
+
+def prior_precision(
+    unknowns: Unknowns,
+    now: Placement,
+    x: Float[np.ndarray, " u"],
+    deviations: Float[np.ndarray, " 4"],
+) -> Float[np.ndarray, "v v"]:
+    """Return the prior's precision matrix over the unknowns and all stretches.
+
+    Each t distribution is approximated at `x` by a Gaussian, as in iteratively reweighted least
+    squares.
+
+
+    Args:
+        unknowns: the unknowns.
+        now: the placement at `x`.
+        x: values of the unknowns, relative to the prior's mean.
+        deviations: standard deviations of the camera's unknowns.
+    """
+    precision = np.zeros((unknowns.size_with_stretches,) * 2)
+    camera = np.arange(CAMERA)
+    precision[camera, camera] = 1 / deviations**2
+    precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
+    stretches = np.arange(unknowns.size, len(precision))
+    precision[stretches, stretches] = 1 / LOG_STRETCH**2
+    of_parts = stretches[STRETCH * len(unknowns.free) :]
+    precision[of_parts, of_parts] = 1 / LOG_PART_STRETCH**2
+    eye = now.camera.position()
+    for i, k in enumerate(unknowns.free.tolist()):
+        first = CAMERA + EACH * i
+        entries = x[first : first + EACH]
+        distance = float(np.linalg.norm(now.pos[k] - eye))
+        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _room(unknowns, k))
+        whitening = unknowns.view_axes(now, k) / most[:, None]
+        yaw = YAW
+        if unknowns.in_wall[k].any():
+            # The two axes are along the wall and up.
+            whitening = np.eye(2) / (FASTENED * distance)
+        if unknowns.in_wall[k].any() or unknowns.round[k]:
+            yaw = FIXED_YAW
+        off = whitening @ entries[:2]
+        xy = slice(first, first + 2)
+        precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
+        for column, deviation in ((2, yaw), (3, LOG_SIZE)):
+            # A depth image shows how large an object is, so no size is far from its start.
+            tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
+            spread = deviation**2 + tail**2 / FREEDOM
+            precision[first + column, first + column] = 1 / spread
+    for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
+        spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
+        precision[u, u] = 1 / spread
+    for k in unknowns.free.tolist():
+        deviation = LEVEL_M if unknowns.in_wall[k].any() else RISE_M
+        for u in unknowns.rise_columns(k):
+            precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
+    return precision
+
+
+def opening_deviation(joint: OpenJoint) -> float:
+    """Return the standard deviation of the composed position of an open joint [rad or m]."""
+    share, open_by = OPENING * (joint.upper - joint.lower), RANGE * (joint.value - joint.closed)
+    return math.hypot(share, open_by)
+
+
+def _room(unknowns: Unknowns, k: int) -> float:
+    """Return the largest standard deviation [m] of a position that an object's support allows.
+
+    For an object in a container, it is half the clearance. For an object on a movable support, it
+    is SUPPORTED times the shorter horizontal side of the support. Otherwise, it is infinite.
+    """
+    item = unknowns.scene.objects[k]
+    if item.parent is None or item.relation not in ("in", "on"):
+        return np.inf
+    parent = unknowns.scene.index(item.parent)
+    side = float(unknowns.shorter_side[parent])
+    if item.relation == "in":
+        return max((side - float(unknowns.shorter_side[k])) / 2, LEAST_CLEARANCE_M)
+    return np.inf if unknowns.scene.objects[parent].environment else SUPPORTED * side

@@ -1,0 +1,441 @@
+"""Unknowns of the alignment, and the camera and poses of all bodies at some values of them.
+
+Camera and poses of all bodies of a scene at some values of the unknowns.
+
+The vector `x` consists of
+
+- pitch, roll, log focal length and log height of the camera,
+- dx, dy, yaw and log scale of each free object,
+- the value of each open joint, at scale 1,
+- with a depth image, the height of each free object above its support.
+
+All entries are changes from the composed scene, for which `x` is zero. A change of the focal length
+also moves the camera along its view (a dolly zoom), so that the image of the scene's middle does
+not change: a response with a wrong field of view also has wrong distances. The camera stays above
+the origin, so the scene moves instead.
+"""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotation
+from ..physics.sampling import is_round
+from ..physics.support import link_frame
+from ..render import visible_surface
+from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
+from ..spec.pose import Pose, matrix, yaw_of
+from .open_joints import MovingPart, OpenJoint, open_joints, part_motions, parts_moved, with_changes
+from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Camera and poses of all bodies at some values of the unknowns.
+
+    Points of a body are in the frame of the body's object, at the composed joint values and scale
+    1.
+    """
+
+    camera: Camera
+    pos: Float[np.ndarray, "body 3"]
+    """Origins in the world frame [m]; objects come first, then moving parts."""
+    turn: Float[np.ndarray, "body 3 3"]
+    """Rotation matrices from the body to the world frame."""
+    scale: Float[np.ndarray, " body"]
+
+    def world(
+        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Transform points from body frames to the world; `body` is one index, or one per point."""
+        if isinstance(body, int):
+            return self.scale[body] * points @ self.turn[body].T + self.pos[body]
+        turned = np.einsum("nij,nj->ni", self.turn[body], points)
+        return self.scale[body, None] * turned + self.pos[body]
+
+    def local(
+        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Transform points from the world to body frames; `body` is one index, or one per point."""
+        if isinstance(body, int):
+            return (points - self.pos[body]) @ self.turn[body] / self.scale[body]
+        turned = np.einsum("nji,nj->ni", self.turn[body], points - self.pos[body])
+        return turned / self.scale[body, None]
+
+
+CAMERA = 4
+"""Number of unknowns of the camera."""
+TILT, ROLL, FOCAL = 0, 1, 2
+"""Indices of the camera's pitch, its roll, and the logarithm of its focal length."""
+EACH = 4
+"""Number of unknowns of a free object, without its joints."""
+STRETCH = 3
+"""Number of nuisance unknowns of an object, and of the parts that a joint moves: the log stretches
+along the object's axes."""
+STEP = 1e-5
+"""Step of finite differences, in the unit of each unknown."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """A composed scene and its unknowns."""
+
+    scene: SceneSpec
+    camera: Camera
+    free: Int[np.ndarray, " free"]
+    """Indices of the objects that may move. All of them have a parent."""
+    arrangement: Arrangement
+    in_wall: Float[np.ndarray, "object 2"]
+    """Horizontal direction in the wall to which an object is attached, in the frame of the object's
+    support; zero for other objects. For an object attached to a wall, dx is the change along this
+    direction, and dy is the change of height."""
+    round: Bool[np.ndarray, " object"]
+    """True for objects whose image does not depend on their heading."""
+    lowest: Float[np.ndarray, " object"]
+    """Height of each object's lowest point relative to the object's origin [m]."""
+    middle_depth: float
+    """Depth of the scene's middle along the view [m]. A dolly zoom preserves the image at this
+    depth."""
+    joints: tuple[OpenJoint, ...] = ()
+    """Open joints of free objects."""
+    parts: tuple[MovingPart, ...] = ()
+    """Parts that the open joints move. They are the bodies after the objects."""
+    rises: bool = False
+    """True if the heights of free objects above their supports are unknowns."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: SceneSpec,
+        camera: Camera,
+        *,
+        joints: bool = True,
+        only: Collection[str] | None = None,
+        rises: bool = False,
+    ) -> "Unknowns":
+        """Return the unknowns of a composed scene.
+
+        Args:
+            scene: the scene.
+            camera: its camera.
+            joints: if True, open joints are unknowns.
+            only: names of the objects that may move; if None, all objects with a parent may.
+            rises: if True, heights above supports are unknowns.
+        """
+        free = [
+            k
+            for k, item in enumerate(scene.objects)
+            if item.parent is not None and (only is None or item.name in only)
+        ]
+        items = {k: scene.objects[k] for k in free} if joints else {}
+        opened = open_joints(items)
+        lowest = [bounds(o.spec, o.joint_state, o.base_tilt)[0][2] for o in scene.objects]
+        poses = world_poses(scene)
+        middles = np.array([poses[scene.objects[k].name].pos for k in free]).reshape(-1, 3)
+        depth = camera.project(middles)[1] if free else np.ones(1)
+        return cls(
+            scene,
+            camera,
+            np.array(free, int),
+            frames(scene),
+            np.array([_direction_in_wall(scene, item) for item in scene.objects]),
+            np.array([is_round(item) for item in scene.objects]),
+            np.array(lowest),
+            float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
+            opened,
+            parts_moved(items, opened),
+            rises,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.first_rise + (len(self.free) if self.rises else 0)
+
+    @property
+    def size_with_stretches(self) -> int:
+        """Number of all unknowns, including the stretches, which are nuisance parameters."""
+        return self.size + STRETCH * (len(self.free) + len(self.joints))
+
+    @property
+    def first_joint(self) -> int:
+        """Index of the first joint among the unknowns."""
+        return CAMERA + EACH * len(self.free)
+
+    @property
+    def first_rise(self) -> int:
+        """Index of the first height above a support among the unknowns."""
+        return self.first_joint + len(self.joints)
+
+    def rise_columns(self, k: int) -> list[int]:
+        """Return the index of the height of a free object above its support, if it is unknown."""
+        if not self.rises:
+            return []
+        return [self.first_rise + int(i) for i in np.flatnonzero(self.free == k)]
+
+    @cached_property
+    def object_of(self) -> Int[np.ndarray, " body"]:
+        """Index of each body's object."""
+        return np.array([*range(len(self.scene.objects)), *(p.object for p in self.parts)])
+
+    @cached_property
+    def mover(self) -> Int[np.ndarray, " body"]:
+        """Index of what moves each body relative to its object.
+
+        It is 0 if no joint moves the body, and k if the k-th distinct set of open joints does.
+        """
+        sets = list(dict.fromkeys(part.joints for part in self.parts))
+        moved = [1 + sets.index(part.joints) for part in self.parts]
+        return np.array([0] * len(self.scene.objects) + moved)
+
+    @cached_property
+    def shorter_side(self) -> Float[np.ndarray, " object"]:
+        """Shorter horizontal side of each object's bounding box, upright [m]."""
+        boxes = [bounds(o.spec, o.joint_state) for o in self.scene.objects]
+        return np.array([min(np.subtract(high, low)[:2]) for low, high in boxes])
+
+    @cached_property
+    def surfaces(self) -> list[WorldMesh]:
+        """Visible surface of each body."""
+        moving = {(p.object, p.part) for p in self.parts}
+        shown = []
+        for k, item in enumerate(self.scene.objects):
+            still = {p.name for p in item.spec.parts if (k, p.name) not in moving}
+            some = still if len(still) < len(item.spec.parts) else None
+            shown.append(visible_surface(item.spec, item.joint_state, some))
+        for k, part, _ in self.parts:
+            item = self.scene.objects[k]
+            shown.append(visible_surface(item.spec, item.joint_state, {part}))
+        return [WorldMesh(*surface) for surface in shown]
+
+    def body_mesh(self, place: Placement, body: int) -> WorldMesh:
+        """Return the visible surface of a body in the world."""
+        surface = self.surfaces[body]
+        return surface._replace(vertices=place.world(body, surface.vertices))
+
+    def mesh(self, place: Placement, k: int) -> WorldMesh:
+        """Return an object's visible surface in the world."""
+        bodies = np.flatnonzero(self.object_of == k).tolist()
+        return joined([self.body_mesh(place, b) for b in bodies])
+
+    def vertices(self, k: int) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+        """Return the vertices of an object's visible surface, and the body of each vertex."""
+        bodies = np.flatnonzero(self.object_of == k).tolist()
+        points = [self.surfaces[b].vertices for b in bodies]
+        return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
+
+    def draw(self, place: Placement, width: int) -> DrawnObjects:
+        """Render the scene in a placement, with the body at each pixel."""
+        meshes = [self.body_mesh(place, b) for b in range(len(self.surfaces))]
+        drawn = draw_objects(meshes, place.camera, width)
+        owner = np.append(self.object_of, -1)[drawn.owner]
+        return DrawnObjects(owner, drawn.depth, drawn.owner)
+
+    def columns(self, k: int) -> slice:
+        """Return the indices of the unknowns of a free object's pose and size."""
+        first = CAMERA + EACH * int(np.flatnonzero(self.free == k)[0])
+        return slice(first, first + EACH)
+
+    def joint_columns(self, k: int) -> list[int]:
+        """Return the indices of the unknowns of an object's open joints."""
+        return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
+
+    def stretch_columns(self, k: int) -> list[int]:
+        """Return the indices of the stretches of a free object and of its moving parts."""
+        own = int(np.flatnonzero(self.free == k)[0])
+        joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
+        return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
+
+    def own_columns(self, k: int) -> list[int]:
+        """Return the indices of all unknowns of a free object."""
+        pose = range(*self.columns(k).indices(self.size))
+        return [*pose, *self.joint_columns(k), *self.rise_columns(k)]
+
+    def is_size(self, u: int) -> bool:
+        """Return whether an unknown is the size of an object."""
+        return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
+
+    def joint_changes(self, x: Float[np.ndarray, " u"]) -> dict[int, dict[str, float]]:
+        """Return the changes of joint values, by index of the object and name of the joint."""
+        changes: dict[int, dict[str, float]] = {}
+        values = x[self.first_joint : self.first_rise].tolist()
+        for joint, value in zip(self.joints, values, strict=True):
+            changes.setdefault(joint.object, {})[joint.name] = value
+        return changes
+
+    def layout(self, x: Float[np.ndarray, "batch u"]) -> Layout:
+        """Return the unknowns of all objects as a batch of layouts."""
+        values = np.zeros((len(x), len(self.scene.objects), EACH))
+        own = x[:, CAMERA : self.first_joint]
+        values[:, self.free] = own.reshape(len(x), -1, EACH)
+        on_wall = self.in_wall.any(axis=1, keepdims=True)
+        xy = np.where(on_wall, values[..., :1] * self.in_wall, values[..., :2])
+        return Layout(xy, values[..., 2], values[..., 3])
+
+    def heights(
+        self, x: Float[np.ndarray, "batch u"], layout: Layout
+    ) -> Float[np.ndarray, "batch object"]:
+        """Return the height of each object's origin above the object's support frame [m].
+
+        Supports are assumed to be flat, so the height of an object's lowest point scales with the
+        size of the object's parent. Settling corrects the remaining errors.
+        """
+        a = self.arrangement
+        size = np.exp(np.asarray(layout.log_scale))
+        parent = np.where(a.parent >= 0, size[:, np.maximum(a.parent, 0)], 1.0)
+        fixed = np.array([item.relation == "attached" for item in self.scene.objects])
+        up = np.zeros((len(x), len(fixed)))
+        up[:, self.free] = x[:, CAMERA + 1 : self.first_joint : EACH]
+        up = np.where(self.in_wall.any(axis=1), up, 0.0)
+        standing = (a.z + self.lowest) * parent - self.lowest * size
+        heights = np.where(fixed, a.z * parent + up, standing)
+        if self.rises:
+            heights[:, self.free] += x[:, self.first_rise :]
+        return heights
+
+    def camera_at(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, float]:
+        """Return the camera, and the shift of the scene along the world's x axis [m]."""
+        c = self.camera
+        pitch, roll, log_focal, log_height = x[:CAMERA].tolist()
+        back = self.middle_depth * math.expm1(log_focal)
+        update = {
+            "pitch": min(max(c.pitch + pitch, -math.pi / 2), math.pi / 2),
+            "roll": c.roll + roll,
+            "fovy": 2 * math.atan(math.tan(c.fovy / 2) * math.exp(-log_focal)),
+            "height": c.height * math.exp(log_height) + back * math.sin(c.pitch),
+        }
+        return Camera.model_validate(dict(c) | update), back * math.cos(c.pitch)
+
+    def place(self, x: Float[np.ndarray, "batch u"]) -> list[Placement]:
+        """Return the placement of the scene for each row of `x`."""
+        layout = self.layout(x)
+        arrangement, motions = self._opened(x)
+        poses = compose_poses(arrangement, layout, self.heights(x, layout), np)
+        placements = []
+        for i, row in enumerate(x):
+            camera, ahead = self.camera_at(row)
+            pos, turn, scale = (
+                np.asarray(value[i]) for value in (poses.pos, rotation(poses.quat, np), poses.scale)
+            )
+            pos = pos + [ahead, 0.0, 0.0]
+            if self.parts:
+                k = [part.object for part in self.parts]
+                shift = np.array([motion.pos for motion in motions[i]])
+                own = np.array([matrix(motion.quat) for motion in motions[i]])
+                moved = np.einsum("nij,nj->ni", turn[k], scale[k, None] * shift)
+                pos = np.concatenate([pos, pos[k] + moved])
+                turn, scale = np.concatenate([turn, turn[k] @ own]), np.append(scale, scale[k])
+            placements.append(Placement(camera, pos, turn, scale))
+        return placements
+
+    def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
+        """Return the arrangement with updated support frames, and the motions of moving parts.
+
+        Support frames on moving parts are updated. All frames have a leading axis for the rows of
+        `x`.
+        """
+        a = self.arrangement
+        if not self.parts:
+            return a, []
+        items = self.scene.objects
+        on_parts = [
+            (i, int(a.parent[i]))
+            for i, item in enumerate(items)
+            if item.parent_link is not None
+            and (int(a.parent[i]), item.parent_link) in {p[:2] for p in self.parts}
+        ]
+        frame_pos = np.tile(a.frame_pos, (len(x), 1, 1))
+        frame_yaw = np.tile(a.frame_yaw, (len(x), 1))
+        rows = []
+        found: dict[tuple[float, ...], tuple[list[Pose], list[Pose]]] = {}
+        for r, row in enumerate(x):
+            key = tuple(row[self.first_joint : self.first_rise].tolist())
+            if key not in found:
+                changes = self.joint_changes(row)
+                motions = {k: part_motions(items[k], by) for k, by in changes.items()}
+                links = [
+                    link_frame(with_changes(items[k], changes[k]), items[i].parent_link)
+                    for i, k in on_parts
+                ]
+                found[key] = [motions[p.object][p.part] for p in self.parts], links
+            own, links = found[key]
+            rows.append(own)
+            for (i, _), link in zip(on_parts, links, strict=True):
+                frame_pos[r, i], frame_yaw[r, i] = link.pos, yaw_of(link.quat)
+        return a._replace(frame_pos=frame_pos, frame_yaw=frame_yaw), rows
+
+    def neighbors(self, x: Float[np.ndarray, " u"]) -> list[Placement]:
+        """Return one placement for each unknown, in which this unknown is increased by STEP."""
+        return self.place(x + STEP * np.eye(self.size))
+
+    def view_axes(self, now: Placement, k: int) -> Float[np.ndarray, "2 2"]:
+        """Return horizontal unit vectors along and across the line of sight to an object, as rows.
+
+        The vectors are in the frame of the object's support, like the object's layout.
+        """
+        offset = (now.pos[k] - now.camera.position())[:2]
+        along = offset / max(float(np.linalg.norm(offset)), 1e-6)
+        return self.in_support_frame(k, np.array([along, [-along[1], along[0]]]))
+
+    def in_support_frame(
+        self, k: int, vectors: Float[np.ndarray, "*n 2"]
+    ) -> Float[np.ndarray, "*n 2"]:
+        """Rotate horizontal vectors from the world into the frame of an object's support."""
+        a = self.arrangement
+        # The composed headings of the supports are used, because they change little.
+        above = np.flatnonzero(a.ancestors[k])
+        heading = float(np.sum(a.frame_yaw[above]) + np.sum(a.yaw[above[above != k]]))
+        c, s = math.cos(heading), math.sin(heading)
+        return vectors @ np.array([[c, -s], [s, c]])
+
+    def columns_of(self, k: int) -> list[int]:
+        """Return the indices of the unknowns of an object and of all its supports.
+
+        If heights above supports are unknown, the sizes of the supports are omitted: otherwise a
+        support would grow to raise an object.
+        """
+        above = np.flatnonzero(self.arrangement.ancestors[k])
+        index = np.flatnonzero(np.isin(self.free, above))
+        places = (CAMERA + EACH * index[:, None] + np.arange(EACH)).ravel().tolist()
+        if self.rises:
+            own = self.columns(k).stop - 1 if k in self.free else -1
+            places = [u for u in places if u == own or not self.is_size(u)]
+        return places + [
+            u
+            for other in above.tolist()
+            for u in (*self.joint_columns(other), *self.rise_columns(other))
+        ]
+
+    def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
+        """Return the scene, with its camera, at the values `x` of the unknowns."""
+        layout = self.layout(x[None])
+        items = list(self.scene.objects)
+        for k, changes in self.joint_changes(x).items():
+            items[k] = with_changes(items[k], {name: by for name, by in changes.items() if by})
+        opened = self.scene.model_copy(update={"objects": tuple(items)})
+        camera, ahead = self.camera_at(x)
+        height = self.heights(x[None], layout)[0]
+        xy, yaw, log_scale = (
+            np.asarray(value[0]) for value in (layout.xy, layout.yaw, layout.log_scale)
+        )
+        scene = with_layout(opened, xy, yaw, log_scale, height)
+        objects = [
+            item
+            if item.parent is not None
+            else item.model_copy(update={"xy": (item.xy[0] + ahead, item.xy[1])})
+            for item in scene.objects
+        ]
+        return scene.model_copy(update={"objects": tuple(objects), "camera": camera})
+
+
+def _direction_in_wall(scene: SceneSpec, item: SceneObject) -> Float[np.ndarray, " 2"]:
+    """Return the horizontal direction in the wall to which an object is attached, or zero."""
+    if item.relation != "attached" or item.parent is None:
+        return np.zeros(2)
+    low, high = bounds(scene.object(item.parent).spec)
+    thinnest = int(np.argmin(np.subtract(high, low)))
+    return np.zeros(2) if thinnest == 2 else np.eye(2)[1 - thinnest]

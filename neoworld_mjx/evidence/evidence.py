@@ -1,0 +1,36 @@
+"""All evidence about a scene in addition to its tree."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import UInt8
+
+from .depth_image import DepthImage
+from .known_camera import KnownCamera
+from .lens import Lens
+from .masks import Masks
+
+PhotoPixels = UInt8[np.ndarray, "row column 3"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence about the camera and the layout of a scene, in addition to its tree."""
+
+    photo: PhotoPixels | None = field(default=None, repr=False)
+    """The photograph (sRGB) that the camera of the tree took; without one, the scene is composed
+    and not aligned."""
+    camera: KnownCamera | None = None
+    """Known parameters of the photograph's camera."""
+    depth: DepthImage | None = None
+    """Depth image of the photograph's view; used only with a photograph."""
+    masks: Masks | None = None
+    """Masks of the objects in the photograph."""
+    boxes: bool = True
+    """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
+    own. The tree is then not fitted to them."""
+    supports: bool = False
+    """True if a person chose the supports, which the fit then keeps."""
+    lens: Lens | None = None
+    """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
+    describes the undistorted image."""

@@ -1,0 +1,97 @@
+"""Vertical edges as evidence about the camera."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.camera_evidence import (
+    edges_of_photo,
+    has_vertical_edges,
+    linearized_edges,
+)
+from neoworld_mjx.estimate.rasterize import WorldMesh
+from neoworld_mjx.estimate.unknowns import CAMERA
+from neoworld_mjx.render import visible_surface
+from neoworld_mjx.spec import Box, Cylinder, Sphere
+from neoworld_mjx.spec.pose import from_axis_angle, matrix
+from tests.estimate import desk
+
+
+def with_camera(scene, **changes):
+    camera = scene.camera
+    update = {name: getattr(camera, name) + change for name, change in changes.items()}
+    return scene.model_copy(update={"camera": camera.model_copy(update=update)})
+
+
+def edges_at_start(scene, photo):
+    unknowns = desk.unknowns_of(scene)
+    return edges_of_photo(unknowns, np.zeros(unknowns.size), photo)
+
+
+@pytest.fixture(scope="module")
+def edges(five, photo):
+    """The estimate with the right camera."""
+    return edges_at_start(five, photo)
+
+
+@pytest.mark.parametrize(
+    ("shape", "tilt_deg", "expected"),
+    [
+        (Box(size=(0.1, 0.2, 0.3)), 0.0, True),
+        (Box(size=(0.02, 0.2, 0.3)), 0.0, True),
+        (Cylinder(radius=0.05, height=0.1), 0.0, True),
+        (Box(size=(0.02, 0.2, 0.3)), 12.0, False),
+        (Cylinder(radius=0.05, height=0.1), 90.0, False),
+        (Box(size=(1.0, 1.0, 0.03)), 0.0, False),
+        (Sphere(radius=0.05), 0.0, False),
+    ],
+)
+def test_upright_boxes_and_cylinders_have_vertical_edges(shape, tilt_deg, expected):
+    vertices, triangles = visible_surface(desk.colored("solid", shape, "red"))
+    turn = matrix(from_axis_angle((0.0, 1.0, 0.0), math.radians(tilt_deg)))
+    yaw = matrix(from_axis_angle((0.0, 0.0, 1.0), 0.4))
+    assert has_vertical_edges(WorldMesh(vertices @ (yaw @ turn).T, triangles)) is expected
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, -4.0])
+def test_edges_show_the_pitch_and_the_roll(five, photo, pitch_deg):
+    wrong = with_camera(five, pitch=math.radians(pitch_deg), roll=math.radians(1.5))
+    found = edges_at_start(wrong, photo)
+    assert abs(found.pitch - five.camera.pitch) < 1.5 * found.pitch_sd < math.radians(3.5)
+    assert abs(found.roll) < 1.5 * found.roll_sd < math.radians(0.6)
+    assert found.count > 4
+
+
+def test_derivatives_are_those_of_the_residuals(five, edges):
+    unknowns = desk.unknowns_of(five)
+    x = np.zeros(unknowns.size)
+    x[:CAMERA] = 0.03, -0.01, 0.12, 0.05
+    residual, jacobian = linearized_edges(edges, unknowns, x)
+    for u in range(CAMERA):
+        step = 1e-6 * (np.arange(len(x)) == u)
+        ends = [linearized_edges(edges, unknowns, x + sign * step)[0] for sign in (1, -1)]
+        assert (ends[1] - ends[0]) / 2e-6 == pytest.approx(jacobian[:, u], abs=1e-4)
+    assert np.abs(residual).max() > 0.5
+
+
+def test_alignment_with_edges_corrects_the_roll(five, photo):
+    wrong = with_camera(five, pitch=math.radians(-3.0), roll=math.radians(2.0))
+    plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))
+    assert abs(result.scene.camera.roll) < 0.6 * abs(plain.scene.camera.roll)
+
+
+@pytest.mark.parametrize("fovy_deg", [12.0, -10.0])
+def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, fovy_deg):
+    wrong = with_camera(five, fovy=math.radians(fovy_deg))
+    plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))
+    off = lambda alignment: abs(math.degrees(alignment.scene.camera.fovy - five.camera.fovy))
+    assert off(result) < 0.25 * off(plain)
+
+
+def test_a_photograph_without_edges_tells_nothing(five, photo):
+    blank = np.full_like(photo, 128)
+    assert edges_at_start(five, blank) is None
+    assert align(five, blank).scene == align(five, blank, AlignOptions(edges=False)).scene

@@ -1,0 +1,125 @@
+"""Color space, color models, and the comparison of two masks by colors."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.estimate.colors import (
+    LARGEST,
+    LabImage,
+    bins_of,
+    color_model,
+    color_models,
+    gain,
+    is_supported,
+    log_likelihood_ratio,
+    shown_at,
+    to_lab,
+)
+from neoworld_mjx.estimate.rasterize import draw_objects
+from tests.estimate import desk
+
+RED, GRAY, BLUE = (200, 30, 30), (128, 128, 128), (30, 40, 200)
+
+
+def disc(shape, middle, radius):
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    return np.hypot(columns + 0.5 - middle[0], rows + 0.5 - middle[1]) <= radius
+
+
+def picture(shape, ground, *areas):
+    image = np.full((*shape, 3), ground, np.uint8)
+    for mask, color in areas:
+        image[mask] = color
+    return image
+
+
+def bin_of(color):
+    return int(bins_of(to_lab(np.array([[color]], np.uint8)))[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("rgb", "lab"),
+    [
+        ((255, 255, 255), (100.0, 0.0, 0.0)),
+        ((0, 0, 0), (0.0, 0.0, 0.0)),
+        ((255, 0, 0), (53.24, 80.09, 67.20)),
+        ((0, 0, 255), (32.30, 79.19, -107.86)),
+        ((119, 119, 119), (50.03, 0.0, 0.0)),
+    ],
+)
+def test_known_colors(rgb, lab):
+    assert to_lab(np.array([[rgb]], np.uint8))[0, 0] == pytest.approx(lab, abs=0.1)
+
+
+def test_the_inside_model_is_that_of_the_band_near_the_contour():
+    """A plate whose middle looks like the table."""
+    shape, middle, margin = (240, 320), (160, 120), 3
+    plate, inner = disc(shape, middle, 70), disc(shape, middle, 45)
+    image = LabImage.of(picture(shape, GRAY, (plate, RED), (inner, GRAY)), 320, 240)
+    models = color_models(np.where(plate, 0, -1), image.bins, 0, margin)
+    gray, red = bin_of(GRAY), bin_of(RED)
+    assert color_model(image.bins[plate])[gray] > 0.05
+    assert models.inside[gray] < 1e-6 < 0.15 < models.inside[red]
+    assert models.around[red] < 1e-6 < 0.15 < models.around[gray]
+    assert log_likelihood_ratio(models.inside, models.background(-1))[red] == LARGEST
+
+
+def test_gain_prefers_the_mask_that_the_colors_show():
+    shape = (240, 320)
+    right, wrong = disc(shape, (160, 120), 40), disc(shape, (168, 120), 40)
+    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320, 240).bins
+    better = gain(right, wrong, bins)
+    # Every pixel that differs counts by at most LARGEST, and its colors are entirely distinct.
+    differ = (right != wrong).sum()
+    assert 0.9 * LARGEST * differ < better <= LARGEST * differ
+    assert gain(wrong, right, bins) == pytest.approx(-better)
+    assert gain(right, right, bins) == 0.0
+
+
+def test_gain_without_evidence():
+    shape = (240, 320)
+    mask, apart = disc(shape, (100, 120), 30), disc(shape, (220, 120), 30)
+    bins = LabImage.of(picture(shape, GRAY, (mask, RED)), 320, 240).bins
+    assert gain(mask, apart, bins) == -np.inf
+    assert gain(apart, mask, bins) == -np.inf
+    none = np.zeros(shape, bool)
+    assert gain(none, none, bins) == 0.0
+    nearly = mask.copy()
+    nearly[110:130, 75] = False
+    # Less than half a pixel along the outline is no difference.
+    assert 0 < (nearly != mask).sum() < 0.5 * 2 * 30
+    assert gain(nearly, mask, bins) == 0.0
+    # The same pixels count if there are more.
+    nearly[90:150, 70:80] = False
+    assert gain(nearly, mask, bins) < -100
+    # One color on all sides.
+    plain = np.full(shape, bin_of(GRAY))
+    assert gain(mask, disc(shape, (110, 120), 30), plain) == pytest.approx(0.0, abs=1e-6)
+    assert not is_supported(mask, disc(shape, (110, 120), 30), plain)
+
+
+def test_the_colors_support_the_mask_that_they_show():
+    shape = (240, 320)
+    right, wrong = disc(shape, (160, 120), 40), disc(shape, (168, 120), 40)
+    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320, 240).bins
+    assert is_supported(right, wrong, bins) and not is_supported(wrong, right, bins)
+    assert is_supported(wrong, wrong, bins)
+
+
+def test_a_mask_at_another_place_is_hidden_by_what_is_in_front():
+    scene = desk.on_desk(
+        (desk.block("front", 0.1, 0.1, 0.1, "red"), (-0.2, 0.0), 0.0, {}),
+        (desk.block("back", 0.1, 0.1, 0.1, "blue"), (0.1, 0.2), 0.0, {}),
+    )
+    unknowns = desk.unknowns_of(scene)
+    now = unknowns.place(np.zeros((1, unknowns.size)))[0]
+    meshes = [unknowns.mesh(now, k) for k in range(3)]
+    drawn = draw_objects(meshes, now.camera, 320)
+    assert np.array_equal(shown_at(unknowns, now, drawn, 2), drawn.owner == 2)
+    x = np.zeros(unknowns.size)
+    x[unknowns.columns(2)] = (-0.14, -0.2, 0.0, 0.0)
+    there = unknowns.place(x[None])[0]
+    mask = shown_at(unknowns, there, drawn, 2)
+    alone = draw_objects([unknowns.mesh(there, 2)], now.camera, 320).owner == 0
+    assert (mask & (drawn.owner == 1)).sum() == 0 < (alone & (drawn.owner == 1)).sum()
+    assert np.array_equal(mask, alone & (drawn.owner != 1))

@@ -1,0 +1,118 @@
+"""Evidence of 2D boxes and contours, and its combination with the prior."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.estimate.alignment import camera_deviations, prior_precision
+from neoworld_mjx.estimate.colors import LabImage
+from neoworld_mjx.estimate.normal_equations import (
+    BOX,
+    BOX_PX,
+    CONTOUR_PX,
+    OBSERVATIONS,
+    NormalEquations,
+    box_evidence,
+    contour_evidence,
+)
+from neoworld_mjx.estimate.rasterize import draw_objects
+from neoworld_mjx.estimate.unknowns import CAMERA
+from tests.estimate import desk
+
+WIDTH = 640
+
+
+class Linearized:
+    """A scene at some values of its unknowns, drawn."""
+
+    def __init__(self, scene, x=None):
+        self.unknowns = u = desk.unknowns_of(scene)
+        self.x = np.zeros(u.size) if x is None else x
+        self.now, self.neighbors = u.place(self.x[None])[0], u.neighbors(self.x)
+        meshes = [u.mesh(self.now, k) for k in range(len(scene.objects))]
+        self.drawn = draw_objects(meshes, self.now.camera, WIDTH)
+
+    def box(self, k):
+        return box_evidence(self.unknowns, self.now, self.neighbors, self.drawn, k)
+
+    def contour(self, k, image):
+        args = self.unknowns, self.now, self.neighbors, self.drawn, image, k
+        return contour_evidence(*args, reach=10.0, step=1.0)
+
+    def equations(self):
+        deviations = camera_deviations((), misjudged=False)
+        prior = prior_precision(self.unknowns, self.now, self.x, deviations)
+        return NormalEquations(self.unknowns, prior, self.x)
+
+
+@pytest.fixture(scope="module")
+def five():
+    return desk.boxed(desk.five())
+
+
+@pytest.fixture(scope="module")
+def image(five):
+    return LabImage.of(desk.photograph(five, WIDTH), WIDTH, WIDTH * 3 // 4)
+
+
+def test_boxes_of_whole_objects_have_four_sides_that_agree(five):
+    right = Linearized(five)
+    for k in range(1, 6):
+        evidence = right.box(k)
+        assert evidence.residual.shape == (4,)
+        assert np.abs(evidence.residual).max() < 1.0
+        x0, y0, x1, y1 = five.objects[k].box2d.as_tuple()
+        edges = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
+        assert evidence.weight == pytest.approx((BOX_PX + BOX * edges) ** -2, rel=0.02)
+
+
+def test_the_residual_of_a_box_is_the_displacement(five):
+    right = Linearized(five)
+    for u in (0, 3, right.unknowns.columns(5).start, right.unknowns.columns(5).start + 3):
+        x = np.zeros(right.unknowns.size)
+        x[u] = 0.01
+        wrong = Linearized(five, x)
+        change = wrong.box(5).residual - right.box(5).residual
+        expected = -x @ wrong.box(5).jacobian[:, : len(x)].T
+        assert change == pytest.approx(expected, abs=0.2)
+        assert np.abs(change).max() > 0.6
+
+
+def test_a_contour_says_where_its_object_is(five, image):
+    right = Linearized(five)
+    x = np.zeros(right.unknowns.size)
+    own = right.unknowns.columns(3)
+    x[own] = (0.0, 0.006, 0.0, 0.0)
+    wrong = Linearized(five, x)
+    evidence = wrong.contour(3, image)
+    # Least squares in the unknowns of its own place.
+    jacobian = evidence.jacobian[:, own][:, :2] * np.sqrt(evidence.weight)[:, None]
+    found = np.linalg.lstsq(jacobian, evidence.residual * np.sqrt(evidence.weight), rcond=None)[0]
+    assert found == pytest.approx((0.0, -0.006), abs=0.0025)
+    # A contour counts as a limited number of observations.
+    assert 0.5 < evidence.weight.sum() < OBSERVATIONS / CONTOUR_PX**2
+    other = [u for u in range(CAMERA, right.unknowns.size) if not own.start <= u < own.stop]
+    assert not evidence.jacobian[:, other].any()
+
+
+def test_equations_without_a_contour_are_those_that_never_had_it(five, image):
+    x = np.zeros(desk.unknowns_of(five).size)
+    x[CAMERA:] = 0.004
+    here = Linearized(five, x)
+    whole, part = here.equations(), here.equations()
+    prior = here.equations()
+    for k in range(1, 6):
+        for equations in (whole, part):
+            equations.add_box(k, here.box(k))
+        whole.add_contour(k, here.contour(k, image))
+        if k not in (2, 4):
+            part.add_contour(k, here.contour(k, image))
+    assert whole.with_contour == (1, 2, 3, 4, 5) and part.with_contour == (1, 3, 5)
+    assert whole.with_box == frozenset(range(1, 6)) and prior.with_box == frozenset()
+    assert whole.solved(without=(2, 4)) == pytest.approx(part.solved(), abs=1e-9)
+    assert np.abs(whole.solved() - part.solved()).max() > 1e-5
+    # Evidence only adds information; without any, the prior's mean is the composed scene.
+    spread = [np.diag(e.covariance()) for e in (whole, part, prior)]
+    assert (spread[0] <= spread[1] * (1 + 1e-9)).all() and (spread[1] <= spread[2]).all()
+    two = here.unknowns.columns(2)
+    assert spread[0][two][1] < 0.25 * spread[1][two][1]
+    assert prior.solved() == pytest.approx(0.0, abs=1e-12)
