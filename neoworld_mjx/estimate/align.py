@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
@@ -33,7 +33,7 @@ from .alignment import (
     prior_precision,
 )
 from .camera_evidence import edges_of_photo, linearized_edges
-from .colors import LabImage, is_supported, shown_at
+from .colors import LabImage, is_supported, overlap, shown_at
 from .contacts import SceneGeoms, contacts
 from .depth_rows import CAMERA_REACHES, SceneDepth
 from .depth_start import moved_to, place_by_depth, with_measured_supports
@@ -48,6 +48,8 @@ COARSE_PX, FINE_PX = 320, 640
 """Widths of the coarse and the fine image [px]."""
 NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
+SAME_OVERLAP = 0.01
+"""Difference of intersections over union with a known mask up to which they count as equal."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
 of the log scale. They were set on the development half of the benchmark scenes. `neoworld
@@ -363,6 +365,7 @@ class _Problem:
                 rows = depth.evidence(neighbors, k, stage.depth_reach)
                 if rows is not None and k not in self.without_depth:
                     equations.add_depth(k, rows)
+        masks = self.masks_at(drawn)
         for k in unknowns.free.tolist():
             box = box_evidence(unknowns, now, neighbors, drawn, k)
             if box is not None:
@@ -379,10 +382,18 @@ class _Problem:
                 reach=stage.reach,
                 step=stage.spacing,
                 local_colors=stage.local_colors,
+                known=masks.get(k),
             )
             if contour is not None:
                 equations.add_contour(k, contour)
         return equations, drawn
+
+    def masks_at(self, drawn: DrawnObjects) -> dict[int, Bool[np.ndarray, "row column"]]:
+        """Return the known masks at the size of a rendering, by index of the object."""
+        if self.evidence.masks is None:
+            return {}
+        names = [item.name for item in self.unknowns.scene.objects]
+        return self.evidence.masks.at(names, *drawn.owner.shape)
 
     def camera_deviations(self) -> Float[np.ndarray, " 4"]:
         """Return the prior standard deviations of the camera's unknowns."""
@@ -447,6 +458,7 @@ class _Problem:
         held = self.as_composed(equations)
         now = unknowns.place(equations.solved(held=held)[None])[0]
         refused = []
+        masks = self.masks_at(drawn)
         used = equations.with_contour if source == "contour" else equations.with_depth
         for k in (k for k in used if k in unknowns.free):
             still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
@@ -454,7 +466,12 @@ class _Problem:
                 0
             ]
             with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            if not is_supported(with_it, without, bins):
+            known = masks.get(k)
+            if known is None:
+                supported = is_supported(with_it, without, bins)
+            else:
+                supported = overlap(with_it, known) >= overlap(without, known) - SAME_OVERLAP
+            if not supported:
                 refused.append(k)
         return tuple(refused)
 

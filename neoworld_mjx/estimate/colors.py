@@ -321,6 +321,11 @@ def is_supported(
     return ratio is None or ratio >= LEAST_GAIN * int((now != other).sum())
 
 
+def overlap(a: Bool[np.ndarray, "row column"], b: Bool[np.ndarray, "row column"]) -> float:
+    """Return the intersection over union of two masks; 0 if both are empty."""
+    return float((a & b).sum()) / max(int((a | b).sum()), 1)
+
+
 def gain(
     now: Bool[np.ndarray, "row column"],
     other: Bool[np.ndarray, "row column"],

@@ -102,23 +102,28 @@ def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:
     )
 
 
+MASK_NATS = 2.0
+"""Log likelihood ratio of a pixel inside and outside of a known mask [nats]."""
+
+
 def displacements(
     lab: Float[np.ndarray, "row column 3"],
     points: Contour,
-    models: ColorModels,
+    models: ColorModels | None,
     *,
     reach: float,
     step: float,
     noise: float,
     unit: float,
     mask: Bool[np.ndarray, "row column"] | None = None,
+    known: Bool[np.ndarray, "row column"] | None = None,
 ) -> Displacements:
     """Return the displacement of each contour point.
 
     Args:
         lab: the photograph [CIE Lab].
         points: points of a contour.
-        models: color models of the two sides.
+        models: color models of the two sides; None if `known` is given.
         reach: largest displacement [px].
         step: distance between samples along a normal [px].
         noise: standard deviation of a contour with perfect color evidence [px], because shapes are
@@ -126,17 +131,21 @@ def displacements(
         unit: number of pixels that count as one independent observation of a color.
         mask: pixels that show the object. If given, the colors near each point count, too; then the
             contour must be right to a few pixels.
+        known: pixels that show the object in the photograph, which replace the colors.
     """
     offset = np.arange(-reach, reach + step / 2, step)
     spot = points.pixel[:, None] + offset[None, :, None] * points.normal[:, None] - 0.5
-    sampled = [
-        map_coordinates(lab[..., c], [spot[..., 1], spot[..., 0]], order=1, mode="nearest")
-        for c in range(3)
-    ]
-    colors, near = np.stack(sampled, axis=-1), None
-    if mask is not None:
-        near = local_colors(lab, mask, points.pixel, points.normal, colors, unit)
-    ratio = models.log_ratio(colors, points.behind, near) * (step / unit)
+    at = [spot[..., 1], spot[..., 0]]
+    if known is not None or models is None:
+        assert known is not None
+        share = map_coordinates(known.astype(float), at, order=1, mode="nearest")
+        ratio = MASK_NATS * (2 * share - 1) * (step / unit)
+    else:
+        sampled = [map_coordinates(lab[..., c], at, order=1, mode="nearest") for c in range(3)]
+        colors, near = np.stack(sampled, axis=-1), None
+        if mask is not None:
+            near = local_colors(lab, mask, points.pixel, points.normal, colors, unit)
+        ratio = models.log_ratio(colors, points.behind, near) * (step / unit)
     # If the contour is between two samples, all samples on its inner side show the object.
     likelihood = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(ratio, axis=1)], axis=1)
     edge = np.append(offset - step / 2, offset[-1] + step / 2)

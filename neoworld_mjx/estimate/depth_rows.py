@@ -171,7 +171,7 @@ class SceneDepth:
         size = drawn.owner.shape
         names = [item.name for item in unknowns.scene.objects]
         resized = image.resized(*size)
-        known = object_masks(masks, names, *size)
+        known = {} if masks is None else masks.at(names, *size)
         return cls(unknowns, now, drawn, resized, measured_depth(resized, drawn), known)
 
     @property
@@ -289,14 +289,3 @@ class SceneDepth:
             surface = np.full_like(depth, math.hypot(SHAPE * min(size, LARGEST_M), LEAST_M))
         smooth = self.image.smooth_sd * depth
         return np.sqrt(sensor_sd(depth) ** 2 + smooth**2 + surface**2)
-
-
-def object_masks(
-    masks: Masks | None, names: list[str], height: int, width: int
-) -> Mapping[int, Bool[np.ndarray, "row column"]]:
-    """Return the mask of every object that has one, by the index of its name."""
-    if masks is None:
-        return {}
-    resized = masks.resized(height, width)
-    found = {k: resized.of(name) for k, name in enumerate(names)}
-    return {k: mask for k, mask in found.items() if mask is not None and mask.any()}

@@ -153,6 +153,7 @@ def contour_evidence(
     reach: float,
     step: float,
     local_colors: bool = False,
+    known: Bool[np.ndarray, "row column"] | None = None,
 ) -> LinearEvidence | None:
     """Return the evidence of an object's contour, or None if there is no evidence.
 
@@ -166,15 +167,18 @@ def contour_evidence(
         reach: largest displacement, in pixels of an image REFERENCE_PX wide.
         step: distance between samples along normals, in pixels of an image REFERENCE_PX wide.
         local_colors: if True, the colors near each point count, too; see `displacements`.
+        known: pixels that show the object in the photograph, which replace the colors.
     """
     points = contour(drawn, k)
     if points is None:
         return None
     width = image.lab.shape[1]
     unit = width / REFERENCE_PX
-    models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
-    if models is None:
-        return None
+    models = None
+    if known is None:
+        models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
+        if models is None:
+            return None
     length = float(points.length.sum())
     moved = displacements(
         image.lab,
@@ -185,6 +189,7 @@ def contour_evidence(
         noise=float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi)),
         unit=unit,
         mask=drawn.owner == k if local_colors else None,
+        known=known,
     )
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():

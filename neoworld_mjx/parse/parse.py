@@ -319,7 +319,7 @@ async def fit_and_check(
         response_tree = tree = tree.model_copy(update=estimated)
     report, checks = None, check_tree(response_tree)
     if options.fit:
-        tree, report = await asyncio.to_thread(fit_tree, tree)
+        tree, report = await asyncio.to_thread(fit_tree, tree, known=known)
         remaining = {(check.node, check.code) for check in check_tree(tree)}
         checks = tuple(check for check in checks if (check.node, check.code) in remaining)
     if issue is not None and camera_issue(photo.rgb, tree) is not None:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import ConfigError, EvidenceError
+from ..evidence.consistency import check_evidence
+from ..evidence.depth_files import check_aspect
 from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, evidence_of, read_stated, undistorted
 from ..evidence.exif import exif_camera
@@ -82,7 +84,21 @@ def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = Non
         raise ConfigError(
             f"evidence must be an Evidence or the path of a file, got {type(given).__name__}"
         )
+    if given is not None:
+        _check_sizes(given, photo.original_size)
+        check_evidence(given, photo.rgb, edges=False)
     return _with_exif(given or Evidence(), photo)
+
+
+def _check_sizes(evidence: Evidence, size: tuple[int, int]) -> None:
+    """Refuse evidence that shows another view than a photograph of `size`, by its aspect ratio."""
+    taken = evidence.lens or evidence.camera
+    if taken is not None:
+        check_aspect(taken.size[::-1], size, "the image of the known camera")
+    if evidence.depth is not None:
+        check_aspect(evidence.depth.values.shape, size, evidence.depth.source or "the depth image")
+    if evidence.masks is not None:
+        check_aspect(evidence.masks.labels.shape, size, evidence.masks.source or "masks")
 
 
 def _with_exif(evidence: Evidence, photo: Photo) -> RunEvidence:

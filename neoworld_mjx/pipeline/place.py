@@ -79,6 +79,8 @@ def place(
     began = time.perf_counter()
     evidence, options = evidence or Evidence(), options or ComposeOptions()
     known = evidence.camera
+    if evidence.masks is not None:
+        tree = evidence.masks.with_boxes(tree)
     if known is not None:
         tree = with_known_camera(tree, known)
     fit = None

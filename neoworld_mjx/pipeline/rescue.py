@@ -26,7 +26,7 @@ from ..physics.engine import Engine
 from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
-from ..spec.scene import transformed_scene
+from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
 from .mesh_tree import MeshTree, mesh_tree
 from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
@@ -123,8 +123,9 @@ def rescue_file(
         out: run folder, new or empty.
         config: options.
         photo: the photograph of the scene, with which its objects are aligned.
-        evidence: evidence about the photograph. Without a camera, that of the scene's file is used;
-            a base frame is the scene's world.
+        evidence: evidence about the photograph. Without a camera, that of the scene's file is used.
+            If `base` is stated, the result is in the world of the scene's file, which is the base
+            frame; otherwise, the camera is above the origin.
 
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
@@ -154,7 +155,7 @@ def rescue_file(
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
             keep_evidence(run, RunEvidence(known))
-            _write_given(run, file, meshes, picture)
+            _write_given(run, file, meshes, picture, known.camera)
             for note in notes:
                 run.note("parse", note, f"read from {file.name}")
             run_steps(run, c, None, first="compose")
@@ -199,6 +200,8 @@ def _known(given: StatedEvidence, photo: Path, picture: Photographed, max_side: 
         roll=camera.roll,
         source=source,
     )
+    if given.base is not None and known.camera is not None:
+        exact = replace(exact, base=known.camera.base, heading=known.camera.heading)
     return replace(known, camera=exact, lens=picture.view.lens)
 
 
@@ -216,12 +219,23 @@ def _config(config: Config, photo: Photographed | None) -> Config:
     return config.model_copy(update={"compose": config.compose.model_copy(update=compose)})
 
 
-def _write_given(run: RunFolder, file: Path, meshes: MeshTree, photo: Photographed | None) -> None:
+def _write_given(
+    run: RunFolder,
+    file: Path,
+    meshes: MeshTree,
+    photo: Photographed | None,
+    known: KnownCamera | None,
+) -> None:
     """Write what Steps 1 to 3 of other runs write: the tree, and the objects."""
+    given, frame = meshes.given, None
+    if given.camera is not None and known is not None:
+        frame = known.base_frame(given.camera)
+    if frame is not None:
+        given = scene_in_frame(given, frame)
     with run.step("parse", {"file": file}) as out:
         assert out is not None  # The folder is new.
         (out / TREE).write_text(meshes.tree.to_json(), encoding="utf-8")
-        (out / GIVEN).write_text(meshes.given.to_json(), encoding="utf-8")
+        (out / GIVEN).write_text(given.to_json(), encoding="utf-8")
         if photo is not None:
             (out / PHOTO).write_bytes(to_png(photo.rgb))
         for name, spec in meshes.objects.items():

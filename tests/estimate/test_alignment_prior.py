@@ -19,7 +19,7 @@ from tests.estimate import desk
 
 def precision(unknowns, x):
     now = unknowns.place(x[None])[0]
-    return now, prior_precision(unknowns, now, x, camera_deviations((), misjudged=False))
+    return now, prior_precision(unknowns, now, x, camera_deviations((), {}, misjudged=False))
 
 
 def test_places_deviate_by_their_distance_along_and_across_the_view():
@@ -54,7 +54,7 @@ def test_tails_are_heavy():
     x[own] = (*(2 * DEPTH * np.linalg.norm(now.pos[1] - now.camera.position()) * along), 2 * YAW, 0)
     x[TILT], x[FOCAL] = 2 * PITCH, 0.08
     # At the old placement, so that only the weights change.
-    camera = camera_deviations((), misjudged=False)
+    camera = camera_deviations((), {}, misjudged=False)
     after = prior_precision(unknowns, now, x, camera)
     assert after[own, own][:2, :2] == pytest.approx(before[own, own][:2, :2] / 2)
     assert after[own, own][2, 2] == pytest.approx(before[own, own][2, 2] / 2)

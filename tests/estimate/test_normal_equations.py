@@ -39,7 +39,7 @@ class Linearized:
         return contour_evidence(*args, reach=10.0, step=1.0)
 
     def equations(self):
-        deviations = camera_deviations((), misjudged=False)
+        deviations = camera_deviations((), {}, misjudged=False)
         prior = prior_precision(self.unknowns, self.now, self.x, deviations)
         return NormalEquations(self.unknowns, prior, self.x)
 

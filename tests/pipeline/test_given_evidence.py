@@ -147,6 +147,20 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     assert json.loads((out / "run.json").read_text())["evidence"] == {"used": {}, "refused": []}
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (nw.Evidence(camera=nw.KnownCamera((640, 480), focal=600.0)), "known camera has 640 x 480"),
+        (nw.Evidence(depth=nw.DepthImage(np.ones((30, 60)))), "depth image has 60 x 30"),
+        (nw.Evidence(depth=nw.DepthImage(np.full((40, 60), 900.0))), "give scale: 0.001"),
+        (nw.Evidence(masks=nw.Masks(np.zeros((40, 60), np.int32))), "has no masks"),
+    ],
+)
+def test_evidence_from_python_is_checked(photo, given, message):
+    with pytest.raises(EvidenceError, match=message):
+        evidence_of_run(load_photo(photo), given)
+
+
 def test_evidence_of_a_run_is_not_read_through_links(tmp_path, photo):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()

@@ -36,9 +36,9 @@ from neoworld_mjx.pipeline import place as place_module
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
-from neoworld_mjx.render import visible_surface
+from neoworld_mjx.render import render_scene, visible_surface
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, world_poses
-from neoworld_mjx.spec.pose import pose
+from neoworld_mjx.spec.pose import from_yaw, matrix, pose
 from tests.support import scenes
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import write_glb, write_poses
@@ -278,6 +278,53 @@ def test_report_of_a_rescue_says_what_was_checked(
             assert content_hash(tmp_path / "out" / file) == digest, file
 
 
+@pytest.mark.parametrize("base", [False, True])
+def test_scene_of_a_robot_stays_in_its_base_frame(tmp_path, base):
+    """With `base`, poses of the file and of the result are in one frame."""
+    scene = desk()
+    Image.fromarray(render_scene(scene, width=480).color).save(tmp_path / "photo.png")
+    frame = pose((0.3, -0.2, 0.1), from_yaw(2.0))
+    into = np.eye(4)
+    into[:3, :3], into[:3, 3] = matrix(frame.quat), frame.pos
+    camera = np.eye(4)
+    camera[:3, :3], camera[:3, 3] = scene.camera.axes(), scene.camera.position()
+    lens = scene.camera.resized(480, 360)
+    k = [[lens.focal, 0, 239.5], [0, lens.focal, 179.5], [0, 0, 1]]
+    np.save(tmp_path / "K.npy", k)
+    np.save(tmp_path / "pose.npy", into @ camera)
+    stated = {"camera": str(tmp_path / "K.npy"), "base": str(tmp_path / "pose.npy")}
+    if not base:
+        file = {"fx": k[0][0], "fy": k[1][1], "cx": 239.5, "cy": 179.5}
+        (tmp_path / "camera.json").write_text(json.dumps(file | {"pose": (into @ camera).tolist()}))
+        stated = {"camera": str(tmp_path / "camera.json")}
+    file = write_poses(tmp_path / "given", scene, into=into)
+    rescue_file(
+        *(file, tmp_path / "out"), photo=tmp_path / "photo.png", evidence=StatedEvidence(**stated)
+    )
+    result, given = read_scene(tmp_path / "out"), read_scene(tmp_path / "out" / "given.json")
+    poses, expected = world_poses(result), world_poses(scene)
+    for name in ("block", "carton", "can"):
+        # Otherwise the camera is above the origin, and z = 0 is the top of the table.
+        at = frame.apply(expected[name].pos) if base else expected[name].pos - [0, 0, 0.04]
+        assert poses[name].pos == pytest.approx(at, abs=5e-3)
+        assert world_poses(given)[name].pos == pytest.approx(at, abs=1e-6)
+    assert np.allclose(result.camera.xy, (into @ camera)[:2, 3] if base else 0, atol=1e-6)
+
+
+def test_photograph_of_a_lens_with_distortion_is_undistorted(photographed_meshes, tmp_path):
+    stated = FileCamera(
+        pose=np.eye(4).tolist(),
+        **{"fx": 300, "fy": 300, "cx": 160, "cy": 120, "width": 320, "height": 240},
+        distortion={"coefficients": [-0.4, 0.1]},
+    )
+    photo = photographed(tmp_path / "photo.png", None, stated)
+    plain = stated.model_copy(update={"distortion": None})
+    same = photographed(tmp_path / "photo.png", None, plain)
+    assert photo.rgb.shape == same.rgb.shape and np.abs(photo.rgb - same.rgb.astype(int)).mean() > 1
+    assert photo.view.lens is not None and same.view.lens is None
+    assert photo.view.camera.fovy != same.view.camera.fovy
+
+
 @pytest.mark.parametrize(
     ("camera", "photo", "message"),
     [
@@ -342,7 +389,7 @@ def test_only_a_carrier_of_four_times_the_area_is_a_support(below, floor):
 def test_the_alignment_gets_what_was_measured_and_contact_the_composed_scene(monkeypatch):
     got = {}
 
-    def aligned(scene, photo, options, measured=()):
+    def aligned(scene, photo, options, measured=(), evidence=None):
         got["measured"] = measured
         return Alignment(scene)
 
