@@ -509,6 +509,13 @@ def test_a_folder_that_is_missing_is_one_error(tmp_path):
         build_server(tmp_path / "none")
 
 
+def test_without_the_extra_the_command_names_it(neoworld, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcp.server.mcpserver", None)
+    done = neoworld("mcp", "--folder", tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: neoworld mcp needs its extra: uv sync --inexact --extra mcp\n"
+
+
 def test_the_skill_is_printed_and_installed(neoworld, tmp_path):
     done = neoworld("skill")
     assert done.returncode == 0
