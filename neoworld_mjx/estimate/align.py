@@ -35,8 +35,14 @@ from .alignment import (
 from .camera_evidence import edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, overlap, shown_at
 from .contacts import SceneGeoms, contacts
-from .depth_rows import CAMERA_REACHES, SceneDepth
-from .depth_start import moved_to, place_by_depth, with_measured_supports
+from .depth_rows import SceneDepth
+from .depth_start import (
+    moved_to,
+    place_by_depth,
+    support_plane,
+    with_measured_supports,
+    with_places_kept,
+)
 from .image_lines import VerticalEdges
 from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
 from .rasterize import DrawnObjects, height_of
@@ -48,6 +54,8 @@ COARSE_PX, FINE_PX = 320, 640
 """Widths of the coarse and the fine image [px]."""
 NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
+PLANE_DEVIATIONS = {"pitch": math.radians(0.1), "roll": math.radians(0.1), "height": 0.003}
+"""Standard deviations of the camera by the plane of a support: angles [rad], and log height."""
 SAME_OVERLAP = 0.01
 """Difference of intersections over union with a known mask up to which they count as equal."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
@@ -177,11 +185,14 @@ def _aligned(
     unknowns = make(scene)
     if not len(unknowns.free):
         return Alignment(scene)
-    if rises:
+    if evidence.depth is not None and evidence.depth.kind == "metric":
         rough = _Problem(unknowns, o, measured, None, evidence)
-        x = np.zeros(unknowns.size)
-        x[:CAMERA] = rough.camera_by_supports(x)
-        unknowns = make(with_measured_supports(scene, rough.depth_at(x)))
+        x = rough.camera_start()
+        first, after = rough.depth_at(np.zeros_like(x)), unknowns.camera_at(x)[0]
+        unknowns = make(with_places_kept(scene, first, after))
+        moved = replace(rough, unknowns=unknowns).depth_at(x)
+        # The camera stays as estimated: moved supports would change what it is estimated from.
+        unknowns = make(with_measured_supports(unknowns.scene, moved))
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
@@ -206,7 +217,8 @@ def _solution(
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = problem.start()
     if problem.evidence.depth is not None and problem.evidence.depth.kind == "metric":
-        problem = replace(problem, mean=problem.prior_mean(x))
+        by_plane = bool(x[:CAMERA].any())
+        problem = replace(problem, mean=x.copy(), by_plane=by_plane)
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:
@@ -266,6 +278,8 @@ class _Problem:
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
     mean: Float[np.ndarray, " u"] | None = None
     """Mean of the prior; None if it is the composed scene."""
+    by_plane: bool = False
+    """True if the plane of a support determines the mean of the camera's pitch, roll and height."""
     without_depth: frozenset[int] = frozenset()
     """Indices of the objects whose depth is ignored."""
     held: frozenset[int] = frozenset()
@@ -286,7 +300,7 @@ class _Problem:
         if image is None:
             return x
         first = self.depth_at(x)
-        x[:CAMERA] = self.camera_by_supports(x)
+        x[:CAMERA] = self.camera_by_depth(x)
         level = unknowns.arrangement.ancestors.sum(axis=1)
         for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
             place = place_by_depth(first, k)
@@ -294,30 +308,33 @@ class _Problem:
                 x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
         return x
 
-    def prior_mean(self, start: Float[np.ndarray, " u"]) -> Float[np.ndarray, " u"]:
-        """Return the mean of the prior: measured places of objects, and the composed camera."""
-        mean = start.copy()
-        mean[:CAMERA] = 0.0
-        return mean
+    def camera_start(self) -> Float[np.ndarray, " u"]:
+        """Return the composed scene, with the camera by depth."""
+        x = np.zeros(self.unknowns.size)
+        x[:CAMERA] = self.camera_by_depth(x)
+        return x
 
-    def camera_by_supports(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " 4"]:
-        """Return the camera's unknowns by the depth of fixed supports; as in `x` without metric
-        depth.
+    def camera_by_depth(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " 4"]:
+        """Return the camera's unknowns by the plane of the largest support.
+
+        They are those of `x` without metric depth, without such a plane, and where they are known.
         """
-        unknowns, image = self.unknowns, self.evidence.depth
+        found, image = x[:CAMERA].copy(), self.evidence.depth
         if image is None or image.kind != "metric" or not self.options.camera:
-            return x[:CAMERA]
-        x = x.copy()
-        for reach in CAMERA_REACHES:
-            depth = self.depth_at(x)
-            prior = prior_precision(unknowns, depth.now, x, self.camera_deviations())
-            equations, neighbors = NormalEquations(unknowns, prior, x), unknowns.neighbors(x)
-            for k in set(range(len(unknowns.scene.objects))) - set(unknowns.free.tolist()):
-                rows = depth.evidence(neighbors, k, reach)
-                if rows is not None:
-                    equations.add_depth(k, rows)
-            x[:CAMERA] = equations.solved()[:CAMERA]
-        return x[:CAMERA]
+            return found
+        plane = support_plane(self.depth_at(x))
+        if plane is None:
+            return found
+        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        now, _ = self.unknowns.camera_at(x)
+        pitch, roll = plane.pitch - now.pitch, plane.roll - now.roll
+        log_height = math.log(plane.height / now.height)
+        for column, (name, change) in enumerate(
+            (("pitch", pitch), ("roll", roll), ("focal", 0.0), ("height", log_height))
+        ):
+            if name not in known:
+                found[column] += change
+        return found
 
     def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
         """Return the measured depth of the scene rendered at `x`."""
@@ -399,7 +416,9 @@ class _Problem:
         """Return the prior standard deviations of the camera's unknowns."""
         if not self.options.camera:
             return np.full(CAMERA, 1e-9)
-        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        known = PLANE_DEVIATIONS if self.by_plane else {}
+        if self.evidence.camera is not None:
+            known = known | self.evidence.camera.deviations()
         return camera_deviations(self.measured, known, misjudged=self.misjudged)
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:

@@ -248,7 +248,7 @@ RANGE = 0.26
 this range."""
 RISE_M, LEVEL_M = 0.003, 1e-6
 """Standard deviation of the height above a support, if the height is unknown, and of an object that
-is attached to a wall, whose height is another unknown [m]."""
+is attached to a wall, whose height is another unknown, and of supports of the environment [m]."""
 TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
 """Changes of a log size and of a height above a support up to which a t distribution has heavy
 tails, if there is a depth image."""
@@ -340,12 +340,16 @@ def prior_precision(
             # A depth image shows how large an object is, so no size is far from its start.
             tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
             spread = deviation**2 + tail**2 / FREEDOM
+            if column == 3 and unknowns.rises and unknowns.scene.objects[k].environment:
+                # The camera's height refers to its top; its outline shows another size.
+                spread = LEVEL_M**2
             precision[first + column, first + column] = 1 / spread
     for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
         spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
         precision[u, u] = 1 / spread
     for k in unknowns.free.tolist():
-        deviation = LEVEL_M if unknowns.in_wall[k].any() else RISE_M
+        held = unknowns.in_wall[k].any() or unknowns.scene.objects[k].environment
+        deviation = LEVEL_M if held else RISE_M
         for u in unknowns.rise_columns(k):
             precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
     return precision

@@ -28,17 +28,18 @@ MARGIN_PX, REFERENCE_PX = 3.0, 640.0
 outline is uncertain, and sensors mix the two depths there."""
 LEAST_PIXELS, MOST_PIXELS = 20, 400
 """Numbers of pixels of an object that are needed, and that are used."""
-CAMERA_REACHES = (0.25, 0.12, 0.06, 0.03, 0.02)
-"""Reach of each Gauss-Newton step in which fixed supports alone locate the camera [m]."""
-OBSERVATIONS, SMOOTH_OBSERVATIONS = 30, 2
-"""Numbers of independent observations of an object: of a sensor, and of a depth image with smooth
-errors."""
+OBSERVATIONS, SMOOTH_OBSERVATIONS, SUPPORT_OBSERVATIONS = 30, 2, 300
+"""Numbers of independent observations: of an object by a sensor, of anything by an image with
+smooth errors, and of a large support by a sensor."""
 SHAPE, LARGEST_M, LEAST_M = 0.02, 0.5, 0.002
 """Standard deviation of a surface: relative to the size of its object up to LARGEST_M [m], and a
 constant [m]."""
 SUPPORT_M, SUPPORT = 0.002, 0.02
 """Standard deviation of the height of a fixed support: a constant [m], and a share of its height
 above z = 0."""
+LARGE = 0.1
+"""Share of the image from which on a support counts fully: of a support of which little shows, the
+little may be something else."""
 UPWARD = 0.8
 """Least vertical component of the normal of a fixed support's surface that is evidence. Positions
 of walls are guesses."""
@@ -198,6 +199,11 @@ class SceneDepth:
         body = drawn.owner if drawn.body is None else drawn.body
         return surface_normals(self.rays * depth[..., None], body)
 
+    def is_support(self, k: int) -> bool:
+        """Return whether an object is a support of the environment, or another fixed root."""
+        item = self.unknowns.scene.objects[k]
+        return item.environment or item.parent is None
+
     def drawn_points(self, mask: Bool[np.ndarray, "row column"]) -> Float[np.ndarray, "n 3"]:
         """Return the rendered points at some pixels, in the camera's frame [m]."""
         return self.rays[mask] * self.drawn.depth[mask][:, None]
@@ -214,15 +220,18 @@ class SceneDepth:
             return None
         return np.array(box.as_tuple()) * self.drawn.owner.shape[1] / self.now.camera.width
 
+    @cached_property
+    def level(self) -> Bool[np.ndarray, "row column"]:
+        """Pixels whose rendered surface is level."""
+        with np.errstate(invalid="ignore"):
+            return np.abs(self.normals @ self.now.camera.axes()[2]) > UPWARD
+
     def pixels(self, k: int) -> DepthPixels | None:
         """Return the pixels of an object whose depth is measured; None if there are too few."""
         shown = self.shown(k)
         if shown.sum() < LEAST_PIXELS:
             return None
-        usable = self.usable
-        if k not in self.unknowns.free:
-            up = self.now.camera.axes()[2]
-            usable = usable & (np.abs(self.normals @ up) > UPWARD)
+        usable = self.usable & self.level if self.is_support(k) else self.usable
         row, column = np.nonzero(eroded(shown) & usable)
         if len(row) < LEAST_PIXELS:
             return None
@@ -260,7 +269,12 @@ class SceneDepth:
             unknowns, now, neighbors, k, local, along, None if whole else body
         )
         deviation = self._deviation(k, depth, world[:, 2])
-        count = SMOOTH_OBSERVATIONS if self.image.smooth_sd else OBSERVATIONS
+        support = self.is_support(k)
+        count = SUPPORT_OBSERVATIONS if support else OBSERVATIONS
+        if self.image.smooth_sd:
+            count = SMOOTH_OBSERVATIONS
+        if support:
+            count *= min(1.0, float(self.shown(k).mean()) / LARGE)
         independent = min(1.0, count / len(residual))
         robust = 1 / (1 + (residual / np.maximum(reach, OUTLYING * deviation)) ** 2) ** 2
         weight = independent * robust / deviation**2
@@ -282,8 +296,8 @@ class SceneDepth:
             depth: depth of each point along the view [m].
             height: height of each point above z = 0 [m].
         """
-        surface = np.hypot(SUPPORT_M, SUPPORT * height)
-        if k in self.unknowns.free:
+        surface = np.hypot(SUPPORT_M, 0.0 if k in self.unknowns.free else SUPPORT * height)
+        if not self.is_support(k):
             vertices = self.unknowns.vertices(k)[0]
             size = float(np.ptp(vertices, axis=0).max()) * float(self.now.scale[k])
             surface = np.full_like(depth, math.hypot(SHAPE * min(size, LARGEST_M), LEAST_M))

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..evidence.depth_image import sensor_sd
 from ..measure import iou_2d
-from ..spec import SceneObject, SceneSpec
-from .depth_rows import LEAST_PIXELS, UPWARD, SceneDepth, eroded
+from ..spec import Camera, SceneObject, SceneSpec
+from .depth_rows import LEAST_M, LEAST_PIXELS, MOST_PIXELS, UPWARD, SceneDepth, eroded
 from .rasterize import WorldMesh, draw_objects, window_of
 from .unknowns import Unknowns
 
@@ -23,6 +24,66 @@ LEVEL_M = 0.02
 support, is then unknown."""
 MIDDLE = 0.5
 """Share of the width and height of a 2D box whose middle is assumed to show the object."""
+
+
+PLANE_M, TILTED = 3.0, math.radians(30.0)
+"""Distance of a point of a plane, in standard deviations of the sensor, and the largest angle
+between the plane and the composed one [rad]."""
+TRIES = 300
+"""Number of planes through three random points."""
+
+
+class SupportPlane(NamedTuple):
+    """Camera that the plane of a support determines."""
+
+    pitch: float
+    """[rad]"""
+    roll: float
+    """[rad]"""
+    height: float
+    """Above z = 0 [m]."""
+
+
+def support_plane(depth: SceneDepth) -> SupportPlane | None:
+    """Return the camera by the plane of the measured points of the largest support, by RANSAC.
+
+    Args:
+        depth: metric depth of the rendered scene.
+
+    Returns:
+        The camera; None if no support has enough points, or if they are in no plane that is almost
+        level in the composed scene.
+    """
+    supports = [k for k in range(len(depth.unknowns.scene.objects)) if depth.is_support(k)]
+    areas = [int((depth.shown(k) & depth.level & depth.usable).sum()) for k in supports]
+    if not areas or max(areas) < MOST_PIXELS:
+        return None
+    k = supports[int(np.argmax(areas))]
+    used = depth.shown(k) & depth.level & depth.usable
+    points = depth.rays[used] * depth.measured.depth[used][:, None]
+    camera = depth.now.camera
+    up, tolerance = camera.axes()[2], PLANE_M * sensor_sd(points[:, 2]) + LEAST_M
+    rng = np.random.default_rng(0)
+    best, most = None, AGREEING * len(points)
+    for rows in rng.integers(len(points), size=(TRIES, 3)):
+        a, b, c = points[rows]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9 or abs(normal @ up) < math.cos(TILTED) * length:
+            continue
+        inliers = np.abs((points - a) @ normal) < tolerance * length
+        if inliers.sum() > most:
+            best, most = inliers, int(inliers.sum())
+    if best is None:
+        return None
+    center = points[best].mean(axis=0)
+    normal = np.linalg.svd(points[best] - center, full_matrices=False)[2][2]
+    normal = normal * np.sign(normal @ up)
+    world = depth.now.camera.position() + depth.drawn_points(used) @ camera.axes().T
+    top = float(np.median(world[:, 2]))
+    pitch = math.asin(float(np.clip(-normal[2], -1, 1)))
+    roll = math.atan2(-float(normal[0]), -float(normal[1]))
+    return SupportPlane(pitch, roll, top - float(normal @ center))
 
 
 class MeasuredPlace(NamedTuple):
@@ -147,6 +208,8 @@ def moved_to(
 ) -> Float[np.ndarray, " 4"]:
     """Return the unknowns with which an object is at a measured place, at its supported height.
 
+    Supports of the environment keep their size: the height of the camera refers to their top.
+
     Args:
         unknowns: the unknowns.
         place: the place.
@@ -156,8 +219,35 @@ def moved_to(
     now, values = unknowns.place(x[None])[0], x[unknowns.columns(k)].copy()
     target = now.camera.position() + now.camera.axes() @ place.origin
     values[:2] += unknowns.in_support_frame(k, (target - now.pos[k])[:2])
-    values[3] += math.log(place.ratio)
+    if not unknowns.scene.objects[k].environment:
+        values[3] += math.log(place.ratio)
     return values
+
+
+def with_places_kept(scene: SceneSpec, before: SceneDepth, after: Camera) -> SceneSpec:
+    """Return the scene with raised roots at their measured places, seen by another camera.
+
+    Roots whose top is at z = 0, and those of which no level face is measured, stay.
+
+    Args:
+        scene: the composed scene.
+        before: its depth, seen by its camera.
+        after: the new camera.
+    """
+    items, now = list(scene.objects), before.now
+    for k, item in enumerate(items):
+        used = before.shown(k) & before.level & before.usable
+        if item.parent is not None or used.sum() < LEAST_PIXELS:
+            continue
+        height = (now.camera.position() + before.drawn_points(used) @ now.camera.axes().T)[:, 2]
+        if abs(float(np.median(height))) < LEVEL_M:
+            continue
+        ratio = float(np.median((before.measured.depth / before.drawn.depth)[used]))
+        origin = ratio * (now.pos[k] - now.camera.position()) @ now.camera.axes()
+        x, y, z = (np.subtract(after.position() + after.axes() @ origin, now.pos[k])).tolist()
+        place = {"xy": (item.xy[0] + x, item.xy[1] + y), "z": item.z + z}
+        items[k] = item.model_copy(update=place)
+    return scene.model_copy(update={"objects": tuple(items)})
 
 
 def with_measured_supports(scene: SceneSpec, depth: SceneDepth) -> SceneSpec:
@@ -170,8 +260,6 @@ def with_measured_supports(scene: SceneSpec, depth: SceneDepth) -> SceneSpec:
         scene: the composed scene.
         depth: its metric depth, seen from the camera that other supports determine.
     """
-    if depth.measured.derivative is not None:
-        return scene
     items = list(scene.objects)
     for k, item in enumerate(items):
         if item.parent is None:
