@@ -4,6 +4,7 @@ Readers of these formats return mechanisms, which are converted to ObjectSpecs w
 omissions. All files are read in a limited worker.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from ..errors import SpecError
 from ..io.limited_worker import call_limited
 from ..io.names import RESERVED, identifier
 from ..io.text_files import validation_message
-from ..physics.decompose import coacd_installed, convex_pieces, decomposition_deadline, hull_points
+from ..physics.decompose import Budget, Decomposition, convex_pieces, hull_points, outward
 from ..spec import (
     AuthoredInertia,
     GeomSpec,
@@ -29,15 +30,27 @@ from ..spec import (
     Site,
     Sphere,
     bounds,
+    inertial,
     recentred,
 )
 from ..spec.base import Vec3
-from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, triple, yaw_of
+from ..spec.pose import conjugate, from_matrix, from_yaw, matrix, quat_mul, triple, yaw_of
 from ..spec.primitives import BaseShape
 from ..spec.shapes import HELPER, UNKNOWN
 from ..spec.tree import name_on_cycle
 from .load_mesh import read_xml
-from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles, transformed
+from .mechanism import (
+    GRAVITY,
+    WORLD,
+    Assembly,
+    FileScene,
+    Link,
+    LinkShape,
+    Mechanism,
+    StatedMass,
+    Triangles,
+    transformed,
+)
 from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
@@ -49,8 +62,8 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 MAX_OBJECTS = 500
 DENSITY = 400.0
 """Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
-PLACEHOLDER_M = 0.001
-"""Radius of the sphere that replaces a link without geometry [m]."""
+PLACEHOLDER_M, PLACEHOLDER_KG, PLACEHOLDER_KG_M2 = 1e-3, 1e-6, 1e-9
+"""Radius [m], mass and moments of inertia of the sphere that replaces a link without geometry."""
 MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
@@ -69,6 +82,19 @@ class Imported:
     """Origin of the object's frame, in the frame of the file [m]."""
     joints: dict[str, str] = field(default_factory=dict)
     """Name of each joint in `spec`, by the joint's name in the file."""
+    fixed_base: bool = False
+    """True if the file fixes the object to the world."""
+    gravity: Vec3 = GRAVITY
+    """Gravitational acceleration in the file [m/s^2]."""
+
+    @property
+    def scene(self) -> SceneSpec:
+        """The object where it stands in the file, as a scene."""
+        x, y, z = self.origin
+        item = SceneObject(
+            name=self.spec.name, spec=self.spec, fixed_base=self.fixed_base, xy=(x, y), z=z
+        )
+        return SceneSpec(name=item.name, objects=(item,), gravity=self.gravity)
 
 
 def import_urdf(path: Path) -> Imported:
@@ -91,7 +117,7 @@ def import_mjcf(path: Path) -> Imported:
     return to_object(call_limited(read_mjcf, Path(path)))
 
 
-def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
+def to_object(mechanism: Mechanism, budget: Budget | None = None) -> Imported:
     """Convert a mechanism to an object.
 
     A link that has no geometry, or only visual geometry, is merged into the link to which it is
@@ -100,13 +126,12 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
 
     Args:
         mechanism: result of a reader; this function modifies the mechanism's links and notes.
-        deadline: time until which meshes are decomposed; by default, `decomposition_deadline()`.
+        budget: time in which meshes are decomposed; by default, that of the object's meshes.
 
     Raises:
         SpecError: the mechanism has too many links, shapes or sites, its mimic joints form a cycle,
             or a number is out of bounds.
     """
-    deadline = decomposition_deadline() if deadline is None else deadline
     name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
     if len(by_name) > MAX_LINKS:
         raise SpecError(f"{name} has {len(by_name)} links; the limit is {MAX_LINKS}")
@@ -117,10 +142,11 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
     moving, owner = _without_empty(by_name, mechanism.joints, notes)
     names = _Names()
     materials: dict[tuple, Material] = {}
+    budget = budget or _budget([mechanism])
     parts = []
     for link in by_name.values():
         try:
-            parts.append(_part(link, names, materials, notes, deadline))
+            parts.append(_part(link, names, materials, notes, budget))
         except ValidationError as error:
             raise SpecError(
                 f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
@@ -173,63 +199,67 @@ def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
         tuple(dict.fromkeys(mechanism.file_notes)),
         triple(np.array(origin)),
         joint_names,
+        mechanism.fixed,
     )
+
+
+def _budget(mechanisms: Sequence[Mechanism]) -> Budget:
+    links = [link for mechanism in mechanisms for link in mechanism.links.values()]
+    return Budget.of(sum(sum(_decomposed(link)) for link in links))
 
 
 def _without_empty(
     links: dict[str, Link], joints: list[JointSpec], notes: list[str]
 ) -> tuple[list[JointSpec], dict[str, str]]:
-    """Merge links without geometry into links to which they are fixed; add a sphere to the others.
+    """Merge links without colliders into links to which they are fixed; add a sphere to the others.
 
     Returns:
         The remaining joints, and the name of the link into which each link is merged, by link name.
     """
-    changed = True
     owner = {name: name for name in links}
-    while changed:
-        changed = False
-        for joint in joints:
-            if joint.type != "fixed":
-                continue
-            parent, child = links[joint.parent], links[joint.child]
-            if child.shapes and parent.shapes and not child.visual_only:
-                continue
-            target, merged = (parent, child) if parent.shapes else (child, parent)
-            _merge(target, merged)
-            del links[merged.name]
-            owner = {k: target.name if v == merged.name else v for k, v in owner.items()}
-            joints.remove(joint)
-            joints[:] = [_renamed(j, merged.name, target.name) for j in joints]
-            changed = True
+    while True:
+        ends = [(j, links[j.parent], links[j.child]) for j in joints if j.type == "fixed"]
+        bare = [
+            (joint, parent, child)
+            for joint, parent, child in ends
+            if not child.shapes or child.visual_only or not parent.shapes
+        ]
+        if not bare:
             break
+        joint, parent, child = bare[0]
+        target, merged = (parent, child) if parent.shapes else (child, parent)
+        target.shapes += merged.shapes
+        target.visual_only &= merged.visual_only or not merged.shapes
+        target.static |= merged.static
+        target.masses += merged.masses
+        if merged.mass is not None and merged.mass > 0 and merged.com is not None:
+            inertia = np.zeros((3, 3)) if merged.inertia is None else merged.inertia
+            target.masses.append(StatedMass(merged.mass, merged.com, inertia))
+        del links[merged.name]
+        owner = {k: target.name if v == merged.name else v for k, v in owner.items()}
+        joints.remove(joint)
+        joints[:] = [_renamed(j, merged.name, target.name) for j in joints]
     for link in links.values():
-        if not link.shapes:
-            joint = next((j for j in joints if j.child == link.name), None)
-            frame = np.eye(4)
-            frame[:3, 3] = (0, 0, 0) if joint is None else joint.pos
-            link.shapes = [LinkShape(Sphere(radius=PLACEHOLDER_M), frame, "collision", hull=True)]
-            if link.mass is None or link.mass <= 0:
-                link.mass, link.com, link.inertia = 1e-3, frame[:3, 3], np.eye(3) * 1e-6
+        if link.shapes and not link.visual_only:
+            continue
+        frame = np.eye(4)
+        joint = next((j for j in joints if j.child == link.name), None)
+        joint = joint or next((j for j in joints if j.parent == link.name), None)
+        if joint is not None:
+            frame[:3, 3] = joint.pos
+        if not link.masses and (link.mass is None or link.mass <= 0):
+            link.mass, link.com = PLACEHOLDER_KG, frame[:3, 3].copy()
+            link.inertia = np.eye(3) * PLACEHOLDER_KG_M2
+        elif link.com is not None:
+            frame[:3, 3] = link.com
+        sphere = Sphere(radius=PLACEHOLDER_M)
+        shape = LinkShape(sphere, frame, "collision", hull=True, placeholder=True)
+        missing = "collider" if link.shapes else "geometry"
+        link.shapes.append(shape)
+        if link.name != WORLD:
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
-            notes.append(f"link {link.name} has no geometry: a sphere of radius {radius} is used")
+            notes.append(f"link {link.name} has no {missing}: a sphere of radius {radius} is used")
     return joints, owner
-
-
-def _merge(target: Link, merged: Link) -> None:
-    target.shapes += merged.shapes
-    if merged.mass is None or merged.mass <= 0 or merged.com is None:
-        return
-    if target.mass is None or target.com is None or target.inertia is None:
-        return  # The mass is derived from geometry later; the merged link's mass is neglected.
-    total = target.mass + merged.mass
-    com = (target.mass * target.com + merged.mass * merged.com) / total
-    inertia = np.zeros((3, 3))
-    for link in (target, merged):
-        assert link.mass is not None and link.com is not None
-        d = link.com - com
-        about_com = np.zeros((3, 3)) if link.inertia is None else link.inertia
-        inertia += about_com + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    target.mass, target.com, target.inertia = total, com, inertia
 
 
 def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:
@@ -242,21 +272,16 @@ def _part(
     names: "_Names",
     materials: dict[tuple, Material],
     notes: list[str],
-    deadline: float,
+    budget: Budget,
 ) -> PartSpec:
     label = names.take(link.name, "part")
-    visual_only = all(item.role == "visual" for item in link.shapes)
-    helper = len(link.shapes) == 1 and link.shapes[0].shape == Sphere(radius=PLACEHOLDER_M)
-    if visual_only and not all(isinstance(item.shape, BaseShape) for item in link.shapes):
-        method = "CoACD" if coacd_installed() else "their convex hull, as CoACD is not installed"
-        notes.append(f"link {link.name} has no colliders: derived from its visuals by {method}")
-    geoms = []
-    for k, item in enumerate(link.shapes):
-        role = "both" if visual_only else item.role
+    derived = all(item.role == "visual" for item in link.shapes)
+    geoms, methods = [], list[str]()
+    for k, (item, split) in enumerate(zip(link.shapes, _decomposed(link), strict=True)):
         shape = item.shape
         if not isinstance(shape, BaseShape):
-            until = None if role == "visual" or item.hull else deadline
-            shape = _mesh(shape, until, link.name, notes)
+            shape, method = _mesh(shape, budget if split else None, link.name, notes)
+            methods += [method or "the convex hull"] if split and (method or derived) else []
         if shape is None:
             continue
         geoms.append(
@@ -265,64 +290,119 @@ def _part(
                 shape=shape,  # pyright: ignore[reportArgumentType] pydantic checks the union
                 pos=tuple(item.frame[:3, 3].tolist()),
                 quat=tuple(from_matrix(item.frame[:3, :3]).tolist()),
-                material=_material(item, materials, helper),
-                role=role,
+                material=_material(item, materials),
+                role="both" if derived else item.role,
             )
         )
     if all(geom.role == "visual" for geom in geoms):
         raise SpecError(f"link {link.name} has no geometry that can collide")
-    mass, inertia = link.mass, None
-    if mass is None:
-        notes.append(f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed")
-    elif mass <= 0:
+    if methods:
+        source = "has no colliders: derived from its visuals" if derived else "collides by"
+        notes.append(f"link {link.name} {source}: {'; '.join(dict.fromkeys(methods))}")
+    part = PartSpec(name=label, geoms=tuple(geoms))
+    return _with_mass(part, link, tuple(materials.values()), notes)
+
+
+def _with_mass(
+    part: PartSpec, link: Link, materials: tuple[Material, ...], notes: list[str]
+) -> PartSpec:
+    """Return a part with the mass and inertia that the file states for its link and merged links.
+
+    If the file states a mass without an inertia for the link, the inertia is that of its colliders.
+    If it states none, but a mass for a merged link, this is the mass of the part.
+    """
+    mass, masses = link.mass, list(link.masses)
+    if mass is not None and mass <= 0:
         notes.append(f"link {link.name} states a mass of {mass:g} kg")
-        mass = 1e-9
+        mass = None if masses else 1e-9
     if mass is not None and link.com is not None and link.inertia is not None:
-        t = link.inertia
-        inertia = AuthoredInertia(
-            pos=tuple(link.com.tolist()),
-            moments=(float(t[0, 0]), float(t[1, 1]), float(t[2, 2])),
-            products=(float(t[0, 1]), float(t[0, 2]), float(t[1, 2])),
+        masses.append(StatedMass(mass, link.com, link.inertia))
+    elif mass is not None and not masses:
+        return part.model_copy(update={"mass": mass})
+    elif mass is not None:
+        own = inertial(
+            ObjectSpec.model_construct(materials=materials), part.model_copy(update={"mass": mass})
         )
-    return PartSpec(name=label, geoms=tuple(geoms), mass=mass, inertia=inertia)
+        turn = matrix(own.quat)
+        tensor = turn @ np.diag(own.diagonal) @ turn.T
+        masses.append(StatedMass(mass, np.array(own.pos), tensor))
+    elif masses:
+        stated = sum(item.mass for item in masses)
+        notes.append(
+            f"link {link.name} states no mass: {stated:g} kg, stated for links that are fixed to "
+            "it, is its mass"
+        )
+    else:
+        if not link.static:
+            notes.append(
+                f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed"
+            )
+        return part
+    total = sum(item.mass for item in masses)
+    com = sum((item.mass * item.com for item in masses), np.zeros(3)) / total
+    tensor = np.zeros((3, 3))
+    for item in masses:
+        d = item.com - com
+        tensor += item.inertia + item.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    authored = AuthoredInertia(
+        pos=triple(com),
+        moments=(float(tensor[0, 0]), float(tensor[1, 1]), float(tensor[2, 2])),
+        products=(float(tensor[0, 1]), float(tensor[0, 2]), float(tensor[1, 2])),
+    )
+    return part.model_copy(update={"mass": total, "inertia": authored})
 
 
-def _mesh(triangles: Triangles, deadline: float | None, link: str, notes: list[str]) -> Mesh | None:
-    """Return a mesh with the convex pieces of its collider, or None if the mesh has no extent.
+def _mesh(
+    triangles: Triangles, budget: Budget | None, link: str, notes: list[str]
+) -> tuple[Mesh | None, str | None]:
+    """Return a mesh with the convex pieces of its collider, and how these approximate the mesh.
 
-    The mesh is decomposed until the deadline. If `deadline` is None, the collider is the convex
-    hull of the mesh.
+    The mesh is None if it has no extent. If `budget` is None, the collider is the convex hull.
     """
     vertices, faces = (np.asarray(v) for v in triangles)
     if not np.isfinite(vertices).all():
         raise SpecError(f"link {link}: a mesh has vertices that are not finite")
     if len(vertices) < 3 or len(faces) < 1 or np.ptp(vertices, axis=0).max() < 1e-6:
         notes.append(f"link {link}: a mesh without extent is skipped")
-        return None
+        return None, None
     if len(vertices) == 3:
         vertices = np.vstack([vertices, vertices.mean(axis=0)])
-    if deadline is None:
-        hulls = [hull_points(vertices)]
-    else:
-        hulls = convex_pieces(vertices, faces, deadline)
-    return Mesh(
+    turned = outward(vertices, faces)
+    if np.any(turned != faces):
+        wrong = np.any(turned != faces, axis=1).sum()
+        notes.append(f"link {link}: {wrong} of {len(faces)} triangles faced inwards: turned")
+    split = Decomposition([hull_points(vertices)])
+    if budget is not None:
+        with budget.share() as share_s:
+            split = convex_pieces(vertices, turned, share_s)
+    shape = Mesh(
         vertices=tuple(map(tuple, vertices.astype(float).tolist())),
-        faces=tuple(map(tuple, faces.astype(int).tolist())),
-        hulls=tuple(tuple(map(tuple, points.tolist())) for points in hulls),
+        faces=tuple(map(tuple, turned.astype(int).tolist())),
+        hulls=tuple(tuple(map(tuple, points.tolist())) for points in split.pieces),
     )
+    return shape, split.method
 
 
-def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -> str:
+def _decomposed(link: Link) -> list[bool]:
+    """Return whether the collider of each shape of a link is to be derived from a mesh."""
+    derived = all(item.role == "visual" for item in link.shapes)
+    return [
+        (derived or item.role != "visual") and not item.hull and not isinstance(item.shape, BaseShape)
+        for item in link.shapes
+    ]
+
+
+def _material(item: LinkShape, materials: dict[tuple, Material]) -> str:
     gloss = {
         key: round(min(max(value, 0.0), 1.0), 6)
         for key in ("metallic", "roughness")
         if (value := getattr(item, key)) is not None
     }
-    key = (item.rgba, item.friction, helper, *gloss.items())
+    key = (item.rgba, item.friction, item.placeholder, *gloss.items())
     if key not in materials:
         names = {material.name for material in materials.values()}
         materials[key] = Material(
-            name=identifier(HELPER if helper else UNKNOWN, "material", names),
+            name=identifier(HELPER if item.placeholder else UNKNOWN, "material", names),
             density=DENSITY,
             friction=min(max(item.friction, 0.0), 10.0),
             rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
@@ -373,13 +453,16 @@ def import_file(path: Path) -> Imported | ImportedScene:
         if isinstance(read, MeshScene):
             scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
-        return _imported(path, read)
+        if len(read.objects) == 1:
+            return _lone_object(read)
+        scene = scene_of_assemblies(path, read.objects)
+        return replace(scene, spec=scene.spec.model_copy(update={"gravity": read.gravity}))
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> MeshScene | list[Assembly]:
+def _read(path: Path) -> MeshScene | FileScene:
     """Read all objects of a file, and the camera that the file states."""
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
@@ -399,7 +482,7 @@ def _read(path: Path) -> MeshScene | list[Assembly]:
         supported = ", ".join((*FILES, POSES))
         raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
-        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)]
+        return FileScene([Assembly("/", read_urdf(path), np.eye(4))])
     if root.tag == "mujoco":
         return read_mjcf_scene(path)
     raise SpecError(
@@ -407,10 +490,23 @@ def _read(path: Path) -> MeshScene | list[Assembly]:
     )
 
 
-def _imported(path: Path, assemblies: list[Assembly]) -> Imported | ImportedScene:
-    if len(assemblies) == 1:
-        return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
-    return scene_of_assemblies(path, assemblies)
+def _lone_object(read: FileScene) -> Imported:
+    """Return the only object of a file, with notes on what the file states of its surroundings."""
+    (assembly,) = read.objects
+    mechanism = transformed(assembly.mechanism, assembly.frame)
+    imported = replace(to_object(mechanism), gravity=read.gravity)
+    notes = [*imported.notes]
+    moves = any(joint.type != "fixed" for joint in imported.spec.joints)
+    fixed = mechanism.fixed and moves
+    x, y, z = imported.origin
+    if fixed:
+        notes.append(f"the base is fixed to the world at ({x:.4g}, {y:.4g}, {z:.4g}) m")
+    elif mechanism.fixed:
+        notes.append("no joint lets the object move in the world of the file: here it is free")
+    if not np.allclose(read.gravity, GRAVITY, atol=0.01):
+        gravity = " ".join(f"{v:g}" for v in read.gravity)
+        notes.append(f"gravity {gravity} m/s^2 is not kept by an object, only by a scene")
+    return replace(imported, fixed_base=fixed, notes=tuple(notes))
 
 
 def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene:
@@ -427,9 +523,9 @@ def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene
         raise SpecError(f"{path} has {len(assemblies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
     notes: list[str] = []
-    deadline = decomposition_deadline()
+    budget = _budget([assembly.mechanism for assembly in assemblies])
     for assembly in assemblies:
-        imported = to_object(assembly.mechanism, deadline)
+        imported = to_object(assembly.mechanism, budget)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
         notes += [
             note if note in imported.file_notes else f"{name}: {note}" for note in imported.notes
@@ -456,11 +552,12 @@ def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObj
         if joint in imported.joints:
             state[f"{imported.joints[joint]}{dot}{axis}"] = value
     moves = any(joint.type != "fixed" for joint in spec.joints)
+    fixed = assembly.fixed or imported.fixed_base
     return SceneObject(
         name=name,
         spec=spec,
-        environment=assembly.fixed and not moves,
-        fixed_base=assembly.fixed and moves,
+        environment=fixed and not moves,
+        fixed_base=fixed and moves,
         xy=(x, y),
         z=z,
         yaw=yaw,

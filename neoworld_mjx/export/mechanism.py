@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,16 @@ from ..errors import SpecError
 from ..spec import JointSpec, Site
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
+from ..spec.base import Vec3
 from ..spec.primitives import BaseShape
 from ..spec.tree import name_on_cycle
 
+GRAVITY = (0.0, 0.0, -9.81)
+"""Gravitational acceleration of scenes by default [m/s^2]."""
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""
+WORLD = "world"
+"""Name of the root link of an object that joints connect to the world."""
 Triangles = tuple[NDArray, NDArray]
 """Vertices of a mesh [m], shape [v, 3], and faces, shape [f, 3]."""
 
@@ -38,10 +44,20 @@ class LinkShape:
     friction: float = 0.5
     hull: bool = False
     """If True, the convex hull of the mesh is the collider."""
+    placeholder: bool = False
+    """True for the small sphere that replaces the colliders of a link without any."""
     metallic: float | None = None
     """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
     """Roughness of the material, from 0 to 1."""
+
+
+class StatedMass(NamedTuple):
+    """Mass that a file states for a link, as in `Link`."""
+
+    mass: float
+    com: NDArray
+    inertia: NDArray
 
 
 @dataclass
@@ -57,7 +73,11 @@ class Link:
     inertia: NDArray | None = None
     """Inertia about the center of mass, in the axes of the root frame [kg m^2], shape [3, 3]."""
     visual_only: bool = False
-    """True if the link has neither mass nor colliders."""
+    """True if the file states that the link collides with nothing."""
+    static: bool = False
+    """True if the link belongs to the world, so that its mass has no effect."""
+    masses: list["StatedMass"] = field(default_factory=list)
+    """Masses of the links that are merged into this one."""
 
 
 @dataclass
@@ -73,6 +93,8 @@ class Mechanism:
     """Notes on data of the object that the reader omits, and on assumptions that it makes."""
     file_notes: list[str] = field(default_factory=list)
     """The same for the whole file; mechanisms from one file may share this list."""
+    fixed: bool = False
+    """True if the root link cannot move."""
 
     @property
     def root(self) -> str:
@@ -90,11 +112,20 @@ class Assembly:
     mechanism: Mechanism
     frame: NDArray
     """Rigid transform from the mechanism's frame to the world frame (Z up) [m], shape [4, 4]."""
-    fixed: bool
-    """True if the root link cannot move."""
+    fixed: bool = False
+    """True if the root link cannot move although the mechanism itself does not state it."""
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
+
+
+@dataclass(frozen=True)
+class FileScene:
+    """Objects of a file, with their poses in the world frame (Z up)."""
+
+    objects: list[Assembly]
+    gravity: Vec3 = GRAVITY
+    """Gravitational acceleration [m/s^2]."""
 
 
 def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:

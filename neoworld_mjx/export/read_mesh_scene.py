@@ -306,7 +306,7 @@ def mesh_object(
     turn = 1 if np.linalg.det(linear) > 0 else -1
     local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
     visuals = [LinkShape(triangles, np.eye(4), "visual") for triangles in local]
-    link = Link("body", visuals, visual_only=True)
+    link = Link("body", visuals)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
