@@ -4,7 +4,7 @@ Readers of these formats return mechanisms, which are converted to ObjectSpecs w
 omissions. All files are read in a limited worker.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,11 @@ from ..spec.pose import conjugate, from_matrix, from_yaw, matrix, quat_mul, trip
 from ..spec.primitives import BaseShape
 from ..spec.shapes import HELPER, UNKNOWN
 from ..spec.tree import name_on_cycle
-from .load_mesh import read_xml
+from .asset_files import packages, read_xml
+from .gltf_file import GLTF
+from .load_mesh import joined
 from .mechanism import (
     GRAVITY,
-    WORLD,
     Assembly,
     FileScene,
     Link,
@@ -51,7 +52,8 @@ from .mechanism import (
     Triangles,
     transformed,
 )
-from .read_mesh_scene import GLTF, POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
+from .mesh_colors import Surface
+from .read_mesh_scene import POSES, FileCamera, MeshScene, read_gltf, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
 
@@ -205,7 +207,7 @@ def to_object(mechanism: Mechanism, budget: Budget | None = None) -> Imported:
 
 def _budget(mechanisms: Sequence[Mechanism]) -> Budget:
     links = [link for mechanism in mechanisms for link in mechanism.links.values()]
-    return Budget.of(sum(sum(_decomposed(link)) for link in links))
+    return Budget.of(sum(map(_splits, links)))
 
 
 def _without_empty(
@@ -256,7 +258,7 @@ def _without_empty(
         shape = LinkShape(sphere, frame, "collision", hull=True, placeholder=True)
         missing = "collider" if link.shapes else "geometry"
         link.shapes.append(shape)
-        if link.name != WORLD:
+        if not link.static:
             radius = f"{PLACEHOLDER_M * 1e3:g} mm"
             notes.append(f"link {link.name} has no {missing}: a sphere of radius {radius} is used")
     return joints, owner
@@ -277,8 +279,8 @@ def _part(
     label = names.take(link.name, "part")
     derived = all(item.role == "visual" for item in link.shapes)
     geoms, methods = [], list[str]()
-    for k, (item, split) in enumerate(zip(link.shapes, _decomposed(link), strict=True)):
-        shape = item.shape
+    for k, item in enumerate(_with_colliders(link.shapes)):
+        shape, split = item.shape, item.role != "visual" and not item.hull
         if not isinstance(shape, BaseShape):
             shape, method = _mesh(shape, budget if split else None, link.name, notes)
             methods += [method or "the convex hull"] if split and (method or derived) else []
@@ -291,7 +293,7 @@ def _part(
                 pos=tuple(item.frame[:3, 3].tolist()),
                 quat=tuple(from_matrix(item.frame[:3, :3]).tolist()),
                 material=_material(item, materials),
-                role="both" if derived else item.role,
+                role=item.role,
             )
         )
     if all(geom.role == "visual" for geom in geoms):
@@ -383,13 +385,37 @@ def _mesh(
     return shape, split.method
 
 
-def _decomposed(link: Link) -> list[bool]:
-    """Return whether the collider of each shape of a link is to be derived from a mesh."""
+def _splits(link: Link) -> int:
+    """Return the number of meshes of a link that are to be split into convex pieces."""
     derived = all(item.role == "visual" for item in link.shapes)
-    return [
-        (derived or item.role != "visual") and not item.hull and not isinstance(item.shape, BaseShape)
-        for item in link.shapes
+    return len(
+        {
+            k if item.mesh is None else -1 - item.mesh
+            for k, item in enumerate(link.shapes)
+            if (derived or item.role != "visual")
+            and not (item.hull or isinstance(item.shape, BaseShape))
+        }
+    )
+
+
+def _with_colliders(shapes: list[LinkShape]) -> list[LinkShape]:
+    """Return the shapes of a link without colliders, which also collide.
+
+    Several surfaces of one mesh remain visual, and the whole mesh collides.
+    """
+    if any(item.role != "visual" for item in shapes):
+        return shapes
+    meshes: dict[int, list[LinkShape]] = {}
+    for item in shapes:
+        if item.mesh is not None:
+            meshes.setdefault(item.mesh, []).append(item)
+    whole = [
+        replace(items[0], shape=joined([Surface(*item.shape) for item in items]), role="collision")  # pyright: ignore[reportGeneralTypeIssues]
+        for items in meshes.values()
     ]
+    return [
+        item if item.mesh is not None else replace(item, role="both") for item in shapes
+    ] + whole
 
 
 def _material(item: LinkShape, materials: dict[tuple, Material]) -> str:
@@ -438,10 +464,16 @@ class ImportedScene:
     """True if the poses in the file are relative to `camera`; `spec` is rotated so that z is up."""
 
 
-def import_file(path: Path) -> Imported | ImportedScene:
+def import_file(
+    path: Path, package_folders: Mapping[str, Path] | None = None
+) -> Imported | ImportedScene:
     """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
     A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
+
+    Args:
+        path: the file.
+        package_folders: folder of each package that URIs `package://NAME/...` name, by name.
 
     Raises:
         SpecError: the format is not supported, or the file is broken or hostile, refers to a file
@@ -449,7 +481,7 @@ def import_file(path: Path) -> Imported | ImportedScene:
     """
     path = Path(path)
     try:
-        read = call_limited(_read, path, needs=MESH_READERS)
+        read = call_limited(_read, path, package_folders or {}, needs=MESH_READERS)
         if isinstance(read, MeshScene):
             scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
@@ -462,8 +494,13 @@ def import_file(path: Path) -> Imported | ImportedScene:
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> MeshScene | FileScene:
+def _read(path: Path, package_folders: Mapping[str, Path]) -> MeshScene | FileScene:
     """Read all objects of a file, and the camera that the file states."""
+    with packages(package_folders):
+        return _read_any(path)
+
+
+def _read_any(path: Path) -> MeshScene | FileScene:
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:
@@ -496,17 +533,13 @@ def _lone_object(read: FileScene) -> Imported:
     mechanism = transformed(assembly.mechanism, assembly.frame)
     imported = replace(to_object(mechanism), gravity=read.gravity)
     notes = [*imported.notes]
-    moves = any(joint.type != "fixed" for joint in imported.spec.joints)
-    fixed = mechanism.fixed and moves
     x, y, z = imported.origin
-    if fixed:
+    if imported.fixed_base:
         notes.append(f"the base is fixed to the world at ({x:.4g}, {y:.4g}, {z:.4g}) m")
-    elif mechanism.fixed:
-        notes.append("no joint lets the object move in the world of the file: here it is free")
     if not np.allclose(read.gravity, GRAVITY, atol=0.01):
         gravity = " ".join(f"{v:g}" for v in read.gravity)
         notes.append(f"gravity {gravity} m/s^2 is not kept by an object, only by a scene")
-    return replace(imported, fixed_base=fixed, notes=tuple(notes))
+    return replace(imported, notes=tuple(notes))
 
 
 def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene:

@@ -16,16 +16,19 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import JointSpec, Site
+from ..spec.base import Vec3
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
-from ..spec.base import Vec3
 from ..spec.primitives import BaseShape
 from ..spec.tree import name_on_cycle
+from .mesh_colors import Color, Surface
 
 GRAVITY = (0.0, 0.0, -9.81)
 """Gravitational acceleration of scenes by default [m/s^2]."""
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""
+SLIDE_M = 10.0
+"""Largest displacement of a slide joint without limits, which objects cannot have [m]."""
 WORLD = "world"
 """Name of the root link of an object that joints connect to the world."""
 Triangles = tuple[NDArray, NDArray]
@@ -40,10 +43,13 @@ class LinkShape:
     frame: NDArray
     """Pose of the shape in the root frame with all joints at zero [m], shape [4, 4]."""
     role: Role
-    rgba: tuple[float, float, float, float] = GRAY
+    rgba: Color = GRAY
     friction: float = 0.5
     hull: bool = False
     """If True, the convex hull of the mesh is the collider."""
+    mesh: int | None = None
+    """Number of the mesh that this is a surface of, if the surfaces of a mesh have several colors;
+    if the link has no colliders, its collider is derived from the whole mesh."""
     placeholder: bool = False
     """True for the small sphere that replaces the colliders of a link without any."""
     metallic: float | None = None
@@ -126,6 +132,31 @@ class FileScene:
     objects: list[Assembly]
     gravity: Vec3 = GRAVITY
     """Gravitational acceleration [m/s^2]."""
+
+
+def visual_shapes(
+    surfaces: Sequence[Surface], frame: NDArray, groups: Sequence[int], rgba: Color | None = None
+) -> list[LinkShape]:
+    """Return the surfaces of meshes as visual shapes.
+
+    Args:
+        surfaces: surfaces of one or several meshes, in the frame of the shapes.
+        frame: pose of the shapes in the root frame [m], shape [4, 4].
+        groups: number of the mesh that each surface is a part of.
+        rgba: color of all surfaces; by default, each has its own, or is gray.
+    """
+    return [
+        LinkShape(
+            (surface.vertices, surface.faces),
+            frame,
+            "visual",
+            rgba or surface.rgba or GRAY,
+            metallic=surface.metallic,
+            roughness=surface.roughness,
+            mesh=group if groups.count(group) > 1 else None,
+        )
+        for surface, group in zip(surfaces, groups, strict=True)
+    ]
 
 
 def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:

@@ -4,7 +4,7 @@ import itertools
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +18,17 @@ from ..physics.mjcf import START
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .load_mesh import inside, inside_any, read_xml
-from .mechanism import WORLD, Assembly, FileScene, Link, LinkShape, Mechanism, transformed
+from .asset_files import inside, inside_any, read_xml
+from .mechanism import (
+    SLIDE_M,
+    WORLD,
+    Assembly,
+    FileScene,
+    Link,
+    LinkShape,
+    Mechanism,
+    transformed,
+)
 from .mjcf_notes import listed, unsupported
 from .write_mjcf import COLOR_SUFFIX
 
@@ -34,8 +43,6 @@ _SHAPES: dict[int, Callable[[float, float, float], BaseShape]] = {
 """Function that returns a shape from the three numbers of geom_size, by type of geom."""
 PLANE_M, PLANE_THICKNESS_M = 5.0, 0.1
 """Least half edge length, and thickness, of the box that replaces an infinite plane [m]."""
-SLIDE_M = 10.0
-"""Largest displacement of a slide joint without limits, which objects cannot have [m]."""
 
 
 class _File(NamedTuple):
@@ -101,7 +108,11 @@ def read_mjcf_scene(path: Path) -> FileScene:
     if not objects:
         raise SpecError(f"{path}: no body has geometry")
     if len(objects) == 1:
-        objects[0].mechanism.name = title or path.stem
+        lone = objects[0].mechanism
+        lone.name = title or path.stem
+        if lone.fixed and not model.njnt:
+            lone.fixed = False
+            lone.notes.append("no joint lets the object move in the file: here it is free")
     for assembly in objects:
         assembly.mechanism.file_notes = file_notes
     off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY

@@ -77,9 +77,7 @@ class Decomposition(NamedTuple):
     """How the pieces approximate the mesh, in words; None if the mesh itself is flat or convex."""
 
 
-def convex_pieces(
-    vertices: NDArray, faces: NDArray, time_s: float | None = None
-) -> Decomposition:
+def convex_pieces(vertices: NDArray, faces: NDArray, time_s: float | None = None) -> Decomposition:
     """Split a mesh, whose closed components face outwards, into convex pieces.
 
     The convex hull of the mesh is the only piece if
