@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
 from ..quantities import count
-from .base_command import Command, CommandResult, ConfiguredCommand
+from .base_command import AssetCommand, Command, CommandResult
 from .result_lines import MAX_REASONS, object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCommand(ConfiguredCommand):
+class CheckCommand(AssetCommand):
     """Check a scene or an object, and print each check with its value and threshold.
 
     A run folder is checked with the options of the run, unless --config or --set is given.
@@ -95,7 +95,7 @@ class CheckCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BuildCommand(ConfiguredCommand):
+class BuildCommand(AssetCommand):
     """Convert an object's program, URDF or MJCF file into every format and images."""
 
     program: Positional[Path]

@@ -1,15 +1,14 @@
 """Finds and reads the untrusted files of an asset: its XML, and the files that it refers to.
 
 An asset may refer to files below its root (`asset_root`), and below the folders of packages that
-the user names (`packages`). Readers call these functions in a limited worker
+the user names (`set_packages`). Readers call these functions in a limited worker
 (`io.limited_worker`), which bounds the memory and the time that a file takes.
 """
 
 import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from math import isfinite
 from pathlib import Path
@@ -32,14 +31,14 @@ MAX_LEVELS = 3
 _packages: ContextVar[Mapping[str, Path] | None] = ContextVar("packages", default=None)
 
 
-@contextmanager
-def packages(folders: Mapping[str, Path]) -> Iterator[None]:
-    """Let `package://NAME` mean the folder of NAME for the duration of a `with` block."""
-    token = _packages.set(folders)
-    try:
-        yield
-    finally:
-        _packages.reset(token)
+def set_packages(folders: Mapping[str, Path]) -> None:
+    """Let `package://NAME` mean the folder of NAME in the current context."""
+    _packages.set(dict(folders))
+
+
+def named_packages() -> Mapping[str, Path]:
+    """Return the folder of each package that `set_packages` names, by name."""
+    return _packages.get() or {}
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -124,7 +123,7 @@ def inside(path: Path, reference: str) -> Path:
     if scheme == "file":
         return inside_any(path, [rest], reference)
     name, _, within = rest.partition("/")
-    stated = (_packages.get() or {}).get(name)
+    stated = named_packages().get(name)
     if stated is not None:
         return inside_any(path, [str(stated / within)], reference)
     # The name of the package may, but need not, be the name of a folder.
@@ -160,7 +159,7 @@ def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
     ]
     # An absolute candidate replaces the folder, and is refused unless it is below a root.
     targets = [Path(os.path.join(folder, spelling)).resolve() for spelling in spellings]
-    roots = [root, *(Path(given).resolve() for given in (_packages.get() or {}).values())]
+    roots = [root, *(Path(given).resolve() for given in named_packages().values())]
     if not all(any(target.is_relative_to(r) for r in roots) for target in targets):
         raise SpecError(f"{path} names {reference!r}, which lies outside its folder {root}")
     existing = [target for target in targets if target.is_file()]

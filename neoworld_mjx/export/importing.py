@@ -34,11 +34,12 @@ from ..spec import (
     recentred,
 )
 from ..spec.base import Vec3
+from ..spec.mass import inertia_fault
 from ..spec.pose import conjugate, from_matrix, from_yaw, matrix, quat_mul, triple, yaw_of
 from ..spec.primitives import BaseShape
 from ..spec.shapes import HELPER, UNKNOWN
 from ..spec.tree import name_on_cycle
-from .asset_files import packages, read_xml
+from .asset_files import named_packages, read_xml, set_packages
 from .gltf_file import GLTF
 from .load_mesh import joined
 from .mechanism import (
@@ -351,7 +352,11 @@ def _with_mass(
         moments=(float(tensor[0, 0]), float(tensor[1, 1]), float(tensor[2, 2])),
         products=(float(tensor[0, 1]), float(tensor[0, 2]), float(tensor[1, 2])),
     )
-    return part.model_copy(update={"mass": total, "inertia": authored})
+    result = part.model_copy(update={"mass": total, "inertia": authored})
+    own = inertial(ObjectSpec.model_construct(materials=materials), result)
+    if (fault := inertia_fault(result, own)) is not None:
+        notes.append(fault)
+    return result
 
 
 def _mesh(
@@ -409,10 +414,10 @@ def _with_colliders(shapes: list[LinkShape]) -> list[LinkShape]:
     for item in shapes:
         if item.mesh is not None:
             meshes.setdefault(item.mesh, []).append(item)
-    whole = [
-        replace(items[0], shape=joined([Surface(*item.shape) for item in items]), role="collision")  # pyright: ignore[reportGeneralTypeIssues]
-        for items in meshes.values()
-    ]
+    whole = []
+    for items in meshes.values():
+        surfaces = [Surface(*item.shape[:2]) for item in items if isinstance(item.shape, tuple)]
+        whole.append(replace(items[0], shape=joined(surfaces), role="collision"))
     return [
         item if item.mesh is not None else replace(item, role="both") for item in shapes
     ] + whole
@@ -464,16 +469,11 @@ class ImportedScene:
     """True if the poses in the file are relative to `camera`; `spec` is rotated so that z is up."""
 
 
-def import_file(
-    path: Path, package_folders: Mapping[str, Path] | None = None
-) -> Imported | ImportedScene:
+def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
-    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
-
-    Args:
-        path: the file.
-        package_folders: folder of each package that URIs `package://NAME/...` name, by name.
+    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene. URIs
+    package://NAME/... may refer to the folders of `asset_files.set_packages`.
 
     Raises:
         SpecError: the format is not supported, or the file is broken or hostile, refers to a file
@@ -481,7 +481,7 @@ def import_file(
     """
     path = Path(path)
     try:
-        read = call_limited(_read, path, package_folders or {}, needs=MESH_READERS)
+        read = call_limited(_read, path, named_packages(), needs=MESH_READERS)
         if isinstance(read, MeshScene):
             scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
@@ -494,13 +494,9 @@ def import_file(
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path, package_folders: Mapping[str, Path]) -> MeshScene | FileScene:
+def _read(path: Path, packages: Mapping[str, Path]) -> MeshScene | FileScene:
     """Read all objects of a file, and the camera that the file states."""
-    with packages(package_folders):
-        return _read_any(path)
-
-
-def _read_any(path: Path) -> MeshScene | FileScene:
+    set_packages(packages)
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:
@@ -570,6 +566,17 @@ def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene
     except ValidationError as error:
         raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
+
+
+def only_object(scene: ImportedScene) -> Imported | None:
+    """Return the object of a scene that contains nothing else but fixed surroundings, or None."""
+    items = [item for item in scene.spec.objects if not item.environment]
+    if len(items) != 1:
+        return None
+    (item,) = items
+    rest = ", ".join(other.name for other in scene.spec.objects if other.environment)
+    notes = [*scene.notes, f"only {item.name} is used, without its surroundings: {rest}"]
+    return Imported(item.spec, tuple(notes), fixed_base=item.fixed_base)
 
 
 def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:

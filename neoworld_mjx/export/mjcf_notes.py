@@ -76,7 +76,7 @@ def _text(values: ArrayLike) -> str:
 
 
 def _related(model: mujoco.MjModel, signature: int) -> bool:
-    """Return whether objects exclude a pair of bodies, too: one is welded or joined to the other."""
+    """Return whether two bodies are welded or joined, so that objects exclude the pair, too."""
     one, other = (int(model.body_weldid[b]) for b in divmod(signature, 1 << 16))
     parents = [int(model.body_weldid[model.body_parentid[b]]) for b in (one, other)]
     return one in (other, parents[1]) or other == parents[0]

@@ -42,7 +42,7 @@ from .gltf_file import (
     roots_of,
 )
 from .load_mesh import SUFFIXES, load_surfaces, merged_vertices
-from .mechanism import Assembly, Link, Mechanism, Triangles, visual_shapes
+from .mechanism import Assembly, Link, Mechanism, visual_shapes
 from .mesh_colors import Surface
 from .write_glb import OBJECT_EXTRAS, Y_UP
 
@@ -280,7 +280,7 @@ def rows_of(matrix: NDArray) -> tuple[Row, Row, Row, Row]:
 
 def mesh_object(
     name: str,
-    meshes: Sequence[Surface | Triangles],
+    surfaces: Sequence[Surface],
     transform: NDArray,
     *,
     fixed: bool = False,
@@ -290,7 +290,7 @@ def mesh_object(
 
     Args:
         name: name of the object.
-        meshes: surfaces, or vertices and faces, of each mesh in the object's frame.
+        surfaces: surfaces of the meshes in the object's frame.
         transform: affine transform from the object's frame to the world frame, shape [4, 4]; its
             scale is applied to the meshes.
         fixed: if True, the object cannot move.
@@ -310,8 +310,11 @@ def mesh_object(
     frame, local = np.eye(4), np.eye(4)
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
     local[:3, :3] = rotation.T @ linear
-    surfaces = [moved(Surface(*mesh), local) for mesh in meshes]
-    shapes = visual_shapes(surfaces, np.eye(4), groups or range(len(surfaces)))
+    shapes = visual_shapes(
+        [moved(surface, local) for surface in surfaces],
+        np.eye(4),
+        groups or range(len(surfaces)),
+    )
     link = Link("body", shapes)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 

@@ -192,7 +192,7 @@ def _colliding(model: mujoco.MjModel) -> NDArray:
     """Return whether each geom can touch another geom, or one with MuJoCo's defaults, [ngeom]."""
     types, affinities = ([1, *array] for array in (model.geom_contype, model.geom_conaffinity))
     masks = np.bitwise_and.outer(types, affinities)
-    return (masks | masks.T).any(axis=1)[1:]
+    return np.any((masks | masks.T) != 0, axis=1)[1:]
 
 
 def _planes(file: _File, collides: NDArray, notes: list[str]) -> list[Assembly]:

@@ -277,7 +277,7 @@ def _link(
     for k, item in enumerate(link.visuals):
         name = None if item.material is None else item.material.name
         stated = None if item.material is None else _stated_color(path, item.material, [])
-        rgba = stated or colors.get(name)
+        rgba = stated or colors.get(str(name))
         capsule = (link.name, "visual", k) in capsules
         if item.geometry.mesh is not None:
             looks: list[str] = []

@@ -9,6 +9,7 @@ import pytest
 from neoworld_mjx.errors import PhotoError, SpecError
 from neoworld_mjx.export.formats import object_files
 from neoworld_mjx.export.importing import ImportedScene, import_file
+from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import (
     FileCamera,
     mesh_object,
@@ -165,7 +166,7 @@ def test_models_in_place_of_meshes(tmp_path):
 def test_mirrored_pose_mirrors_the_mesh():
     corner = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    made = mesh_object("a", [(corner, faces)], np.diag([-1.0, 1, 1, 1]))
+    made = mesh_object("a", [Surface(corner, faces)], np.diag([-1.0, 1, 1, 1]))
     (shape,) = made.mechanism.links["body"].shapes
     vertices, outward = shape.shape
     world = vertices @ made.frame[:3, :3].T + made.frame[:3, 3]

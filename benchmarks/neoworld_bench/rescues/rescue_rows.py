@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.export.importing import scene_of_assemblies
+from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import FileCamera, mesh_object, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import Photographed, rescue
@@ -115,7 +116,7 @@ def disturbed(objects, seed: int):
 def scene_of_meshes(objects):
     """Return an imported scene of meshes at poses; none of them says that it is a support."""
     assemblies = [
-        mesh_object(key, [(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
+        mesh_object(key, [Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
         for key, (mesh, pose) in objects.items()
     ]
     return scene_of_assemblies(Path("scene"), assemblies)
