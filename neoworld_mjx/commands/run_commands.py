@@ -93,6 +93,8 @@ class RefineCommand(ConfiguredCommand):
     camera: Path | None = None
     """With --photo: camera.json with the camera of the photograph. Default: the camera in the
     scene's file."""
+    scale: float | None = None
+    """With --from: factor of all lengths in the file, such as 0.01 if it is in centimeters."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -106,9 +108,10 @@ class RefineCommand(ConfiguredCommand):
         keep_compilations()
         if self.source is not None:
             return self._rescue(self.source)
-        for flag, value in {"--photo": self.photo, "--camera": self.camera}.items():
+        given = {"--photo": self.photo, "--camera": self.camera, "--scale": self.scale}
+        for flag, value in given.items():
             if value is not None:
-                raise ConfigError(f"{flag} belongs to --from: {self.folder} has its photograph")
+                raise ConfigError(f"{flag} belongs to --from: {self.folder} is a run with its own")
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -124,7 +127,12 @@ class RefineCommand(ConfiguredCommand):
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return rescue_file(
-            source, self.folder, config, photo=self.photo, camera=self.camera
+            source,
+            self.folder,
+            config,
+            photo=self.photo,
+            camera=self.camera,
+            scale=self.scale,
         ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:

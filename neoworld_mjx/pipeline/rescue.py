@@ -23,6 +23,7 @@ from ..render import to_png
 from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import transformed_scene
+from .input_doubts import doubt_solids, doubt_unit, scaled_scene
 from .mesh_tree import MeshTree, mesh_tree
 from .place import Evidence, LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
@@ -110,6 +111,7 @@ def rescue_file(
     *,
     photo: Path | None = None,
     camera: Path | None = None,
+    scale: float | None = None,
 ) -> Result:
     """Rescue a glTF scene or a poses.json into a run folder.
 
@@ -119,9 +121,12 @@ def rescue_file(
         config: options.
         photo: the photograph of the scene, with which its objects are aligned.
         camera: camera.json of the photograph; by default, the camera in the scene's file.
+        scale: factor of all lengths in the scene's file, such as 0.01 for centimeters; if None, the
+            file is in meters, and unusual sizes are refused.
 
     Raises:
-        SpecError: a file cannot be read, or no object is free to move.
+        SpecError: a file cannot be read, no object is free to move, or the file is in doubt
+            (`input_doubts`).
         PhotoError: as for `photographed`.
         RunError: the folder is not empty, or cannot be written.
     """
@@ -134,6 +139,11 @@ def rescue_file(
         imported = import_file(file)
         if not isinstance(imported, ImportedScene):
             raise RunError(f"{file} contains one object; rescue needs a scene")
+        if scale is None:
+            doubt_unit(imported.spec)
+        else:
+            imported = scaled_scene(imported, scale)
+        doubt_solids(imported.spec)
         picture = None
         if photo is not None:
             stated = None if camera is None else read_camera(camera)
