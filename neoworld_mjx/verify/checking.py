@@ -14,7 +14,8 @@ from ..checks.signals import Allowance, Signal, has_errors
 from ..config import Config, ProgramOptions
 from ..errors import ExportError, SpecError
 from ..export import export_object, object_files
-from ..export.importing import Imported, ImportedScene, import_file, only_object
+from ..export.importing import ImportedScene, import_file, only_object
+from ..export.object_of_mechanism import Imported
 from ..io import read_model, read_untrusted_text
 from ..io.files import write_inside
 from ..program import BuildResult, build
