@@ -123,11 +123,14 @@ def inside(path: Path, reference: str) -> Path:
     if scheme == "file":
         return inside_any(path, [rest], reference)
     name, _, within = rest.partition("/")
-    stated = named_packages().get(name)
-    if stated is not None:
-        return inside_any(path, [str(stated / within)], reference)
-    # The name of the package may, but need not, be the name of a folder.
     root = asset_root(path)
+    neighbor = root.parent / name
+    # A workspace keeps its packages beside each other.
+    beside = name not in ("", "..") and (neighbor / MANIFESTS[0]).is_file()
+    folder = named_packages().get(name, neighbor if beside else None)
+    if folder is not None:
+        return inside_any(path, [str(folder / within)], reference, [folder])
+    # The name of the package may, but need not, be the name of a folder.
     candidates = [rest, str(root / rest), within, str(root / within)]
     try:
         return inside_any(path, candidates, reference)
@@ -135,7 +138,9 @@ def inside(path: Path, reference: str) -> Path:
         raise SpecError(f"{error}; --package {name}=FOLDER names the folder of {name}") from None
 
 
-def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
+def inside_any(
+    path: Path, candidates: Sequence[str], reference: str, folders: Sequence[Path] = ()
+) -> Path:
     r"""Return the first existing file among the files that a name in an asset may refer to.
 
     A name that does not exist is tried with slashes for backslashes, and with %20 and the like
@@ -145,6 +150,7 @@ def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
         path: the file of the asset.
         candidates: paths relative to the asset's folder.
         reference: the name, for messages.
+        folders: further folders below which files may be.
 
     Raises:
         SpecError: a candidate is outside the asset's folders, or no candidate exists.
@@ -159,7 +165,7 @@ def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
     ]
     # An absolute candidate replaces the folder, and is refused unless it is below a root.
     targets = [Path(os.path.join(folder, spelling)).resolve() for spelling in spellings]
-    roots = [root, *(Path(given).resolve() for given in named_packages().values())]
+    roots = [root, *(Path(given).resolve() for given in (*folders, *named_packages().values()))]
     if not all(any(target.is_relative_to(r) for r in roots) for target in targets):
         raise SpecError(f"{path} names {reference!r}, which lies outside its folder {root}")
     existing = [target for target in targets if target.is_file()]

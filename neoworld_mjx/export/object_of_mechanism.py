@@ -131,7 +131,10 @@ def to_object(mechanism: Mechanism, budget: Budget | None = None) -> Imported:
                 update["mimic"] = joint.mimic.model_copy(update={"joint": leader})
             else:
                 update["mimic"] = None
-                notes.append(f"joint {joint.name}: the joint that it mimics is not imported")
+                notes.append(
+                    f"joint {joint.name} does not mimic {joint.mimic.joint} here, which is not a "
+                    "joint of the object"
+                )
         joints.append(joint.model_copy(update=update).model_dump())
     label = _Names().take(name, "object")
     if name in RESERVED:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError
 from ..io.names import unused
 from ..physics.mjcf import START
+from ..quantities import count
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
@@ -26,7 +27,7 @@ from .mechanism import (
     Mechanism,
     transformed,
 )
-from .mjcf_notes import listed, unsupported
+from .mjcf_notes import unsupported
 from .write_mjcf import COLOR_SUFFIX
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint
@@ -154,9 +155,9 @@ def _world_geoms(file: _File, collides: NDArray, notes: list[str]) -> list[Assem
     geoms = np.flatnonzero((model.geom_bodyid == 0) & (model.geom_type != _G.mjGEOM_PLANE))
     link = _link(file, 0, geoms, collides, notes)
     if not any(shape.role == "collision" for shape in link.shapes):
-        if len(geoms):
-            what = listed("geom", [model.geom(g).name for g in geoms])
-            notes.append(f"{what} of the world body collide with nothing: not imported")
+        if link.shapes:
+            what = count(len(link.shapes), "geom")
+            notes.append(f"{what} of the world body that collide with nothing: not imported")
         return []
     name = (model.geom(geoms[0]).name if len(geoms) == 1 else "") or "world_geoms"
     link = replace(link, name=name, static=True)
@@ -267,7 +268,7 @@ def _link(
 ) -> Link:
     """Return a body with its compiled mass and inertia."""
     model, data = file.model, file.data
-    link = Link(file.bodies[body])
+    link = Link(file.bodies[body], static=int(model.body_weldid[body]) == 0)
     for g in geoms:
         kind = _G(model.geom_type[g])
         if kind in _SHAPES or kind in (_G.mjGEOM_MESH, _G.mjGEOM_PLANE):
@@ -429,12 +430,18 @@ def _mimics(model: mujoco.MjModel, joints: Sequence[str], notes: list[str]) -> d
     mimics: dict[int, Mimic] = {}
     for e in range(model.neq):
         kind = mujoco.mjtEq(model.eq_type[e]).name[5:].lower()
-        label = f"equality {model.eq(e).name or e} ({kind})"
+        ends = [
+            mujoco.mj_id2name(model, int(model.eq_objtype[e]), int(k)) or "world"
+            for k in (model.eq_obj1id[e], model.eq_obj2id[e])
+            if k >= 0 and kind != "joint"
+        ] or [joints[k] for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0]
+        label = f"equality {model.eq(e).name} ({kind} of {' and '.join(ends)})".replace("  ", " ")
         if not model.eq_active0[e]:
             notes.append(f"{label} is inactive: not imported")
             continue
         if kind != "joint" or model.eq_obj2id[e] < 0:
-            notes.append(f"{label} is not imported")
+            held = f", which holds it at {model.eq_data[e, 0]:g}," if kind == "joint" else ""
+            notes.append(f"{label}{held} is not imported")
             continue
         offset, multiplier, *higher = (float(v) for v in model.eq_data[e, :5])
         if any(higher):

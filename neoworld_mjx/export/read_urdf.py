@@ -100,7 +100,19 @@ def read_urdf(path: Path) -> Mechanism:
         )
         for link in robot.links
     ]
-    joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
+    # A file without any collider shows objects whose colliders are derived.
+    for link in links if any(link.collisions for link in robot.links) else ():
+        link.visual_only = all(shape.role == "visual" for shape in link.shapes)
+    below = [joint.type for joint in robot.joints if joint.parent == base]
+    world = next(link for link in links if link.name == base)
+    fixed = WORLD_LINK.fullmatch(base) is not None
+    free = fixed and not world.shapes and not world.mass and below == ["floating"]
+    joints = []
+    for joint in robot.joints:
+        ignored = notes if not (free and joint.parent == base) else []
+        joints.append(_joint(path, joint, frames[joint.child], ignored))
+        if joint.type == "planar":
+            links += _split_planar(joint, frames[joint.child], joints, notes)
     for mark in root.findall("neoworld/unstated"):
         unstated = {k: None for k in ("effort", "velocity") if k in mark.get("limits", "").split()}
         joints = [
@@ -108,16 +120,40 @@ def read_urdf(path: Path) -> Mechanism:
         ]
     for mark in root.findall("neoworld/ball"):
         _fold_ball(mark.get("joint") or "", links, joints, notes)
-    fixed = WORLD_LINK.fullmatch(base) is not None
-    world = next(link for link in links if link.name == base)
-    if fixed and not world.shapes and not world.mass:
-        world.static = True
-        floating = [j.type == "floating" for j in robot.joints if j.parent == base]
-        if floating == [True]:
-            fixed = world.static = False
+    world.static = fixed and not free and not world.mass
     sites = _fold_frames(links, joints)
     by_name = {link.name: link for link in links}
-    return Mechanism(robot.name or path.stem, by_name, joints, sites, notes, fixed=fixed)
+    name = robot.name or path.stem
+    return Mechanism(name, by_name, joints, sites, notes, fixed=fixed and not free)
+
+
+def _split_planar(
+    joint: Any, frame: NDArray, joints: list[JointSpec], notes: list[str]
+) -> list[Link]:
+    """Replace the last joint, which is planar, by two slides and a hinge, as MuJoCo does.
+
+    Returns:
+        The links between them.
+    """
+    last = joints.pop()
+    normal = frame[:3, :3] @ np.asarray(joint.axis if joint.axis is not None else (1, 0, 0), float)
+    if np.linalg.norm(normal) < 1e-9:
+        raise SpecError(f"joint {joint.name} has no axis")
+    normal /= np.linalg.norm(normal)
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    inner = [Link(f"{joint.name}_{axis}_link") for axis in "xy"]
+    ends = [last.parent, inner[0].name, inner[1].name, last.child]
+    reach = {"type": "prismatic", "lower": -SLIDE_M, "upper": SLIDE_M}
+    kinds = {"x": (first, reach), "y": (second, reach), "z": (normal, {"type": "continuous"})}
+    for k, (name, (axis, update)) in enumerate(kinds.items()):
+        update = {"parent": ends[k], "child": ends[k + 1], "axis": triple(axis), **update}
+        joints.append(last.model_copy(update={"name": f"{joint.name}_{name}", **update}))
+    notes.append(
+        f"joint {joint.name} is planar: imported as two slides of {SLIDE_M:g} m and a hinge"
+    )
+    return inner
 
 
 def _replace_unknown_shapes(root: ET.Element, notes: list[str]) -> set[tuple[str, str, int]]:
@@ -365,7 +401,8 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
     kind, limit, dynamics, mimic = joint.type, joint.limit, joint.dynamics, joint.mimic
     lower = upper = 0.0
     if kind not in ("fixed", "revolute", "continuous", "prismatic"):
-        notes.append(f"joint {joint.name} is {kind}: imported as fixed")
+        if kind != "planar":
+            notes.append(f"joint {joint.name} is {kind}: imported as fixed")
         kind = "fixed"
     if kind in ("revolute", "prismatic"):
         if limit is not None and limit.lower is not None and limit.upper is not None:

@@ -163,12 +163,17 @@ LOSSES = {
         f"<worldbody><body>{BOX}<body pos='0 0 .3'><joint name='j'/>{BOX}</body><body "
         f"pos='0 0 -.3'><joint name='k'/>{BOX}</body></body></worldbody><equality><joint "
         "name='e' joint1='j' joint2='k' active='false'/></equality>",
-        "equality e (joint) is inactive: not imported",
+        "equality e (joint of j and k) is inactive: not imported",
     ),
     "weld": (
         f"<worldbody>{FREE.format('a', '0 0 0')}{FREE.format('b', '1 0 0')}</worldbody>"
         "<equality><weld name='w' body1='a' body2='b'/></equality>",
-        "equality w (weld) is not imported",
+        "equality w (weld of a and b) is not imported",
+    ),
+    "lock": (
+        f"<worldbody><body>{BOX}<body pos='0 0 .3'><joint name='j'/>{BOX}</body></body>"
+        "</worldbody><equality><joint joint1='j' polycoef='.3 0 0 0 0'/></equality>",
+        "equality (joint of j), which holds it at 0.3, is not imported",
     ),
     "marker": (
         "<worldbody><body name='m' mocap='true'><geom size='.02' contype='0' conaffinity='0'/>"
@@ -286,6 +291,13 @@ URDF = {
     "hinge on the world": "<link name='world'/>"
     + link("a", 5)
     + joint("j", "revolute", "world", "a", LIMIT),
+    "planar": link("a", 5) + link("b", 2) + joint("j", "planar", "a", "b"),
+    "floating from the world": "<link name='world'/>"
+    + link("a", 5)
+    + joint("w", "floating", "world", "a"),
+    "visual link": link("a", 5)
+    + "<link name='b'><visual><geometry><box size='.1 .1 .1'/></geometry></visual></link>"
+    + joint("j", "fixed", "a", "b"),
     "sphere, cylinder and capsule": link("a", 5, "<sphere radius='.1'/>")
     + link("b", 2, "<cylinder radius='.05' length='.3'/>")
     + link("c", 2, "<capsule radius='.05' length='.3'/>")
@@ -304,12 +316,17 @@ def test_urdf_has_the_mass_joints_and_colliders_that_mujoco_reads(tmp_path, kind
     read = import_file(path)
     own = to_mjspec(read.scene).compile()
     assert own.body_mass.sum() == pytest.approx(model.body_mass.sum(), rel=1e-5)
-    assert read.fixed_base == ("world" in kind)
-    expected, actual = facts(model), facts(own)
+    assert read.fixed_base == (kind in ("world", "hinge on the world"))
+    expected, actual = (facts(m) for m in (model, own))
+    if kind == "planar":  # Slides have limits, and the axes in the plane are arbitrary.
+        assert "joint j is planar: imported as two slides of 10 m and a hinge" in read.notes
+        for value in (expected, actual):
+            value["joints"] = rows(value["joints"][:, [0, 3, 4, 5]], 4)
     joints = actual["joints"][actual["joints"][:, 0] != 0]
-    assert np.allclose(joints, expected["joints"], atol=1e-5)
+    other = expected["joints"][expected["joints"][:, 0] != 0]
+    assert np.allclose(joints, other, atol=1e-5)
     assert np.allclose(actual["geoms"], expected["geoms"], atol=1e-5)
-    assert not read.notes or read.fixed_base or kind == "ballast"
+    assert not read.notes or read.fixed_base or kind in ("ballast", "planar")
 
 
 def test_the_mass_of_fixed_links_without_shapes_is_kept(tmp_path):

@@ -70,6 +70,22 @@ def test_the_manifest_of_a_package_is_found_above(package):
     assert import_file(path).spec.parts
 
 
+def test_packages_of_a_workspace_may_refer_to_each_other(tmp_path, package):
+    other = tmp_path / "bringup"
+    other.mkdir()
+    path = other / "a.urdf"
+    path.write_text(urdf(mesh("package://arm_description/meshes/base link.stl")))
+    (other / "package.xml").write_text("<package/>")
+    with pytest.raises(SpecError, match="--package arm_description"):
+        import_file(path)
+    (package / "package.xml").write_text("<package/>")
+    assert import_file(path).spec.parts
+    path.write_text(urdf(mesh("package://arm_description/../secret.stl")))
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "secret.stl")
+    with pytest.raises(SpecError, match="outside its folder"):
+        import_file(path)
+
+
 def test_the_folder_of_a_package_can_be_named(tmp_path, package, capfd):
     path = tmp_path / "elsewhere" / "a.urdf"
     path.parent.mkdir()

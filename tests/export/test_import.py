@@ -103,7 +103,7 @@ def test_notes_of_a_scene_name_the_object_unless_they_concern_the_whole_file(tmp
     )
     assert set(import_file(file).notes) == {
         "1 sensor not imported",
-        "equality 0 (weld) is not imported",
+        "equality (weld of crate and joint_block) is not imported",
     }
 
 
