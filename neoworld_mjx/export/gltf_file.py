@@ -279,7 +279,11 @@ def _with_material(
     attributes, rgba, stated = primitive["attributes"], np.ones(4), False
     vertices, faces = surface.vertices, surface.faces
     material = file.rows("materials")[primitive["material"]] if "material" in primitive else {}
-    looks = material.get("pbrMetallicRoughness", {})
+    glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+    older = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
+    looks = material.get("pbrMetallicRoughness", {}) | {
+        older[key]: value for key, value in glossy.items() if key in older
+    }
     if "baseColorFactor" in looks:
         rgba, stated = np.asarray(looks["baseColorFactor"], float), True
     if "baseColorTexture" in looks:

@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 
 from ..errors import PhotoError, SpecError
 from ..io import read_model
+from ..quantities import count
 from ..spec import Camera, Spec
 from ..spec.base import Number, Vec3
 from ..spec.pose import Pose, from_yaw, pose, rotate
@@ -381,8 +382,7 @@ def read_gltf(path: Path) -> MeshScene:
     if not found:
         raise SpecError(f"{path} has no triangles")
     if animations := file.rows("animations"):
-        count = len(animations)
-        found[0].mechanism.file_notes.append(f"{count} animations are not imported")
+        found[0].mechanism.file_notes.append(f"{count(animations, 'animation')} not imported")
     return MeshScene(found, camera)
 
 

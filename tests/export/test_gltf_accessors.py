@@ -205,6 +205,14 @@ def vertex_colors(file: Gltf):
     return (0.0, 0.0, 1.0, 1.0)
 
 
+def specular_glossiness(file: Gltf):
+    looks = {"diffuseFactor": [0.9, 0.1, 0.1, 1]}
+    extension = {"KHR_materials_pbrSpecularGlossiness": looks}
+    file.document["materials"] = [{"extensions": extension}]
+    file.primitive["material"] = 0
+    return (0.9, 0.1, 0.1, 1.0)
+
+
 def texture_atlas(file: Gltf):
     """A picture with a red and a green half, of which the box shows the red one."""
     image, stream = Image.new("RGB", (8, 8), (200, 30, 30)), io.BytesIO()
@@ -219,7 +227,9 @@ def texture_atlas(file: Gltf):
     return (200 / 255, 30 / 255, 30 / 255, 1.0)
 
 
-@pytest.mark.parametrize("change", [base_color, blended, vertex_colors, texture_atlas])
+@pytest.mark.parametrize(
+    "change", [base_color, blended, vertex_colors, specular_glossiness, texture_atlas]
+)
 def test_colors_are_read(tmp_path, change):
     file = Gltf()
     expected = change(file)
