@@ -152,7 +152,8 @@ def _planes(file: _File, collides: NDArray, notes: list[str]) -> list[Assembly]:
 def _world_geoms(file: _File, collides: NDArray, notes: list[str]) -> list[Assembly]:
     """Return the geoms of the world body that are not planes as one fixed object, if any."""
     model = file.model
-    geoms = np.flatnonzero((model.geom_bodyid == 0) & (model.geom_type != _G.mjGEOM_PLANE))
+    world = (model.geom_bodyid == 0) & (model.geom_type != _G.mjGEOM_PLANE)
+    geoms: list[int] = np.flatnonzero(world).tolist()
     link = _link(file, 0, geoms, collides, notes)
     if not any(shape.role == "collision" for shape in link.shapes):
         if link.shapes:
@@ -169,14 +170,15 @@ def _object(file: _File, top: int, collides: NDArray, file_notes: list[str]) -> 
     model, notes = file.model, list[str]()
     bodies = np.flatnonzero(model.body_rootid == top).tolist()
     links = [
-        _link(file, b, np.flatnonzero(model.geom_bodyid == b), collides, notes) for b in bodies
+        _link(file, b, np.flatnonzero(model.geom_bodyid == b).tolist(), collides, notes)
+        for b in bodies
     ]
     if not collides.any():
         links = [replace(link, visual_only=False) for link in links]
     joints, inner = _joints(file, bodies, notes)
     first = _body_joints(model, top)
     moves = len(first) > 0
-    free = moves and model.jnt_type[first[0]] == _J.mjJNT_FREE
+    free = moves and bool(model.jnt_type[first[0]] == _J.mjJNT_FREE)
     if moves and not free:
         links.insert(0, Link(WORLD, static=True))
     links += inner
