@@ -91,6 +91,7 @@ def read_mjcf_scene(path: Path) -> FileScene:
     bodies = _unique_names(model.body, model.nbody, lambda b: f"body_{b}")
     owner = [bodies[int(b)] for b in model.jnt_bodyid]
     joints = _unique_names(model.joint, model.njnt, lambda j: f"{owner[j]}_joint")
+    _strip_prefixes(model, bodies, joints)
     file = _File(path, model, data, bodies, joints, _mimics(model, joints, file_notes))
     collides = _colliding(model)
     objects = [*_planes(file, collides, file_notes), *_world_geoms(file, collides, file_notes)]
@@ -126,6 +127,20 @@ def _unique_names(named: Callable[[int], Any], count: int, default: Callable) ->
             names[k] = unused(default(k), taken)
             taken.add(names[k])
     return names
+
+
+def _strip_prefixes(model: mujoco.MjModel, bodies: list[str], joints: list[str]) -> None:
+    """Remove the prefix "<object>-", which exported files have, from the names in an object."""
+    for top in np.flatnonzero(model.body_parentid[1:] == 0) + 1:
+        prefix, tree = f"{bodies[top]}-", model.body_rootid == top
+        own_bodies = np.flatnonzero(tree)[1:]
+        own_joints = np.flatnonzero(tree[model.jnt_bodyid] & (model.jnt_type != _J.mjJNT_FREE))
+        names = [*(bodies[b] for b in own_bodies), *(joints[j] for j in own_joints)]
+        if all(name.startswith(prefix) for name in names) and prefix + bodies[top] not in names:
+            for b in own_bodies:
+                bodies[b] = bodies[b].removeprefix(prefix)
+            for j in own_joints:
+                joints[j] = joints[j].removeprefix(prefix)
 
 
 def _colliding(model: mujoco.MjModel) -> NDArray:
@@ -184,7 +199,9 @@ def _object(file: _File, top: int, collides: NDArray, file_notes: list[str]) -> 
     links += inner
     sites = [
         Site.model_construct(
-            name=model.site(k).name, part=file.bodies[b], pos=triple(file.data.site_xpos[k])
+            name=model.site(k).name.removeprefix(f"{file.bodies[top]}-"),
+            part=file.bodies[b],
+            pos=triple(file.data.site_xpos[k]),
         )
         for k, b in enumerate(model.site_bodyid)
         if b in bodies and model.site(k).name
@@ -194,13 +211,13 @@ def _object(file: _File, top: int, collides: NDArray, file_notes: list[str]) -> 
     name = file.bodies[top]
     by_name = {link.name: link for link in links}
     mechanism = Mechanism(name, by_name, joints, sites, notes, fixed=not free)
-    start, state = _start(file, joints)
+    start, state = _start(file, bodies)
     if moves and not free:
-        return _without_prefix(Assembly(name, mechanism, np.eye(4), state=state), name)
+        return Assembly(name, mechanism, np.eye(4), state=state)
     reference = _frame(file.data.xmat[top], file.data.xpos[top])
     local = transformed(mechanism, np.linalg.inv(reference))
     frame = _frame(start.xmat[top], start.xpos[top])
-    return _without_prefix(Assembly(name, local, frame, state=state), name)
+    return Assembly(name, local, frame, state=state)
 
 
 def _frame(axes: NDArray, origin: NDArray) -> NDArray:
@@ -209,8 +226,8 @@ def _frame(axes: NDArray, origin: NDArray) -> NDArray:
     return frame
 
 
-def _start(file: _File, joints: Sequence[JointSpec]) -> tuple[mujoco.MjData, dict[str, float]]:
-    """Return the bodies, and the positions of joints, in the keyframe "start", if there is one."""
+def _start(file: _File, bodies: Sequence[int]) -> tuple[mujoco.MjData, dict[str, float]]:
+    """Return the data, and the positions of bodies' joints, in the keyframe "start", if any."""
     model, state = file.model, dict[str, float]()
     keys = [k for k in range(model.nkey) if model.key(k).name == START]
     if not keys:
@@ -218,46 +235,19 @@ def _start(file: _File, joints: Sequence[JointSpec]) -> tuple[mujoco.MjData, dic
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[keys[0]]
     mujoco.mj_kinematics(model, data)
-    for joint in joints:
-        if joint.type == "fixed":
+    for j in (j for b in bodies for j in _body_joints(model, b)):
+        if model.jnt_type[j] == _J.mjJNT_FREE:
             continue
-        address = int(model.jnt_qposadr[file.joints.index(joint.name)])
-        if joint.type == "ball":
+        name, address = file.joints[j], int(model.jnt_qposadr[j])
+        if model.jnt_type[j] == _J.mjJNT_BALL:
             vector = np.zeros(3)
             mujoco.mju_quat2Vel(vector, data.qpos[address : address + 4], 1.0)
             # With all joints at zero, the axes of the body are those of the object.
-            values = {f"{joint.name}.{a}": float(v) for a, v in zip("xyz", vector, strict=True)}
+            values = {f"{name}.{a}": float(v) for a, v in zip("xyz", vector, strict=True)}
         else:
-            values = {joint.name: float(data.qpos[address] - model.qpos0[address])}
-        state.update({name: value for name, value in values.items() if value})
+            values = {name: float(data.qpos[address] - model.qpos0[address])}
+        state.update({key: value for key, value in values.items() if value})
     return data, state
-
-
-def _without_prefix(assembly: Assembly, root: str) -> Assembly:
-    """Remove the prefix "<object>-" from all names of an object if all of them have it."""
-    mechanism, prefix = assembly.mechanism, f"{root}-"
-    inner = [name for name in mechanism.links if name not in (root, WORLD)]
-    names = [*inner, *(j.name for j in mechanism.joints), *(s.name for s in mechanism.sites)]
-
-    def short(name: str) -> str:
-        return name.removeprefix(prefix)
-
-    if not all(name.startswith(prefix) for name in names) or root in map(short, inner):
-        return assembly
-    links = {short(name): replace(link, name=short(name)) for name, link in mechanism.links.items()}
-    joints = []
-    for joint in mechanism.joints:
-        update = {key: short(getattr(joint, key)) for key in ("name", "parent", "child")}
-        mimic = joint.mimic
-        mimic = mimic and mimic.model_copy(update={"joint": short(mimic.joint)})
-        joints.append(joint.model_copy(update={**update, "mimic": mimic}))
-    sites = [
-        site.model_copy(update={"name": short(site.name), "part": short(site.part)})
-        for site in mechanism.sites
-    ]
-    state = {short(key): value for key, value in assembly.state.items()}
-    renamed = replace(mechanism, links=links, joints=joints, sites=sites)
-    return replace(assembly, mechanism=renamed, state=state)
 
 
 def _body_joints(model: mujoco.MjModel, body: int) -> range:
@@ -445,11 +435,15 @@ def _mimics(model: mujoco.MjModel, joints: Sequence[str], notes: list[str]) -> d
             held = f", which holds it at {model.eq_data[e, 0]:g}," if kind == "joint" else ""
             notes.append(f"{label}{held} is not imported")
             continue
+        follower, leader = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        if len(set(model.body_rootid[model.jnt_bodyid[[follower, leader]]])) > 1:
+            notes.append(f"{label}, which are joints of two objects, is not imported")
+            continue
         offset, multiplier, *higher = (float(v) for v in model.eq_data[e, :5])
         if any(higher):
             values = " ".join(f"{v:g}" for v in higher)
             notes.append(f"{label}: the coefficients {values} of higher order are not kept")
-        mimics[int(model.eq_obj1id[e])] = Mimic.model_construct(
-            joint=joints[int(model.eq_obj2id[e])], multiplier=multiplier, offset=offset
+        mimics[follower] = Mimic.model_construct(
+            joint=joints[leader], multiplier=multiplier, offset=offset
         )
     return mimics

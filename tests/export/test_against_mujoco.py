@@ -175,6 +175,12 @@ LOSSES = {
         "</worldbody><equality><joint joint1='j' polycoef='.3 0 0 0 0'/></equality>",
         "equality (joint of j), which holds it at 0.3, is not imported",
     ),
+    "equality of two objects": (
+        f"<worldbody><body name='a'>{BOX}<body pos='0 0 .3'><joint name='j'/>{BOX}</body></body>"
+        f"<body name='b' pos='1 0 0'>{BOX}<body pos='0 0 .3'><joint name='k'/>{BOX}</body></body>"
+        "</worldbody><equality><joint joint1='j' joint2='k'/></equality>",
+        "equality (joint of j and k), which are joints of two objects, is not imported",
+    ),
     "marker": (
         "<worldbody><body name='m' mocap='true'><geom size='.02' contype='0' conaffinity='0'/>"
         f"</body>{FREE.format('a', '0 0 0')}</worldbody>",
