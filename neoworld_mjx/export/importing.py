@@ -23,9 +23,9 @@ from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
 from .asset_files import named_packages, read_xml, set_packages
 from .gltf_file import GLTF
 from .mechanism import (
-    GRAVITY,
     Assembly,
     FileScene,
+    gravity_notes,
     transformed,
 )
 from .object_of_mechanism import Imported, budget_of, to_object
@@ -138,9 +138,7 @@ def _lone_object(read: FileScene) -> Imported:
     if imported.fixed_base:
         place = ", ".join(f"{round(v, 4) + 0.0:g}" for v in imported.origin)
         notes.append(f"the base is fixed to the world at ({place}) m")
-    if not np.allclose(read.gravity, GRAVITY, atol=0.01):
-        gravity = " ".join(f"{v:g}" for v in read.gravity)
-        notes.append(f"gravity {gravity} m/s^2 is not kept by an object, only by a scene")
+    notes += gravity_notes(read.gravity)
     return replace(imported, notes=tuple(notes))
 
 

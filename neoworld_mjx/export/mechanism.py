@@ -120,6 +120,8 @@ class Assembly:
     """Rigid transform from the mechanism's frame to the world frame (Z up) [m], shape [4, 4]."""
     fixed: bool = False
     """True if the root link cannot move although the mechanism itself does not state it."""
+    world: bool = False
+    """True if the object consists of geoms of the world body."""
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
@@ -132,6 +134,14 @@ class FileScene:
     objects: list[Assembly]
     gravity: Vec3 = GRAVITY
     """Gravitational acceleration [m/s^2]."""
+
+
+def gravity_notes(gravity: Vec3) -> list[str]:
+    """Return a note for an object if the gravity of its file is not that of scenes by default."""
+    if np.allclose(gravity, GRAVITY, atol=0.01):
+        return []
+    stated = " ".join(f"{v:g}" for v in gravity)
+    return [f"gravity {stated} m/s^2 is not kept by an object, only by a scene"]
 
 
 def visual_shapes(

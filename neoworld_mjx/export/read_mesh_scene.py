@@ -332,7 +332,8 @@ def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembl
     mechanism = _mechanism(file)
     # The file contains only this object, whereas `path` contains several.
     notes = [*mechanism.file_notes, *mechanism.notes]
-    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[])
+    # The list of poses says which objects are fixed.
+    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[], fixed=False)
     rotation = transform[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise SpecError(f"{path}, object {name[:40]}: the pose of a model must be rigid")

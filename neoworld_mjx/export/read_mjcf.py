@@ -25,6 +25,7 @@ from .mechanism import (
     Link,
     LinkShape,
     Mechanism,
+    gravity_notes,
     transformed,
 )
 from .mjcf_notes import unsupported
@@ -58,17 +59,22 @@ class _File(NamedTuple):
 
 
 def read_mjcf(path: Path) -> Mechanism:
-    """Read an MJCF file with one object.
+    """Read an MJCF file with one object, without the geoms of the world body.
 
     Raises:
         SpecError: the file is broken or hostile, refers to a file that is missing or outside its
             folder, is refused by MuJoCo, or contains several objects.
     """
-    objects = read_mjcf_scene(path).objects
-    if len(objects) != 1:
+    scene = read_mjcf_scene(path)
+    objects = scene.objects
+    bodies = [assembly for assembly in objects if not assembly.world]
+    if len(bodies) != 1:
         names = ", ".join(assembly.path for assembly in objects)
         raise SpecError(f"{path}: expected one child of the world body; the file has {names}")
-    return transformed(objects[0].mechanism, objects[0].frame)
+    result = transformed(bodies[0].mechanism, bodies[0].frame)
+    result.notes += gravity_notes(scene.gravity)
+    result.notes += [f"{item.path} of the world is not imported" for item in objects if item.world]
+    return result
 
 
 def read_mjcf_scene(path: Path) -> FileScene:
@@ -158,7 +164,9 @@ def _planes(file: _File, collides: NDArray, notes: list[str]) -> list[Assembly]:
         name = model.geom(g).name or ("floor" if level else "plane")
         if collides[g]:
             link = Link(name, [_shape(file, int(g), True, notes)], static=True)
-            result.append(Assembly(name, Mechanism(name, {name: link}, [], fixed=True), np.eye(4)))
+            result.append(
+                Assembly(name, Mechanism(name, {name: link}, [], fixed=True), np.eye(4), world=True)
+            )
         else:
             notes.append(f"geom {name} of the world body collides with nothing: not imported")
     return result
@@ -177,7 +185,7 @@ def _world_geoms(file: _File, collides: NDArray, notes: list[str]) -> list[Assem
         return []
     name = (model.geom(geoms[0]).name if len(geoms) == 1 else "") or "world_geoms"
     link = replace(link, name=name, static=True)
-    return [Assembly(name, Mechanism(name, {name: link}, [], fixed=True), np.eye(4))]
+    return [Assembly(name, Mechanism(name, {name: link}, [], fixed=True), np.eye(4), world=True)]
 
 
 def _object(file: _File, top: int, collides: NDArray, file_notes: list[str]) -> Assembly:
