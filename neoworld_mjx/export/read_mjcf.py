@@ -16,7 +16,7 @@ from ..quantities import count
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .compile_mjcf import check_files, compiled
+from .compile_mjcf import check_files, compiled, element_names
 from .mechanism import (
     SLIDE_M,
     WORLD,
@@ -94,10 +94,7 @@ def read_mjcf_scene(path: Path) -> FileScene:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     file_notes: list[str] = unsupported(model)
-    bodies = _unique_names(model.body, model.nbody, lambda b: f"body_{b}")
-    owner = [bodies[int(b)] for b in model.jnt_bodyid]
-    joints = _unique_names(model.joint, model.njnt, lambda j: f"{owner[j]}_joint")
-    _strip_prefixes(model, bodies, joints)
+    bodies, joints = element_names(model)
     file = _File(path, model, data, bodies, joints, _mimics(model, joints, file_notes))
     collides = _colliding(model)
     objects = [*_planes(file, collides, file_notes), *_world_geoms(file, collides, file_notes)]
@@ -122,31 +119,6 @@ def read_mjcf_scene(path: Path) -> FileScene:
         assembly.mechanism.file_notes = file_notes
     off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     return FileScene(objects, gravity=triple(np.zeros(3) if off else model.opt.gravity))
-
-
-def _unique_names(named: Callable[[int], Any], count: int, default: Callable) -> list[str]:
-    """Return the names of elements; names that the file does not state avoid those it states."""
-    names = [str(named(k).name) for k in range(count)]
-    taken = set(names)
-    for k, name in enumerate(names):
-        if not name:
-            names[k] = unused(default(k), taken)
-            taken.add(names[k])
-    return names
-
-
-def _strip_prefixes(model: mujoco.MjModel, bodies: list[str], joints: list[str]) -> None:
-    """Remove the prefix "<object>-", which exported files have, from the names in an object."""
-    for top in np.flatnonzero(model.body_parentid[1:] == 0) + 1:
-        prefix, tree = f"{bodies[top]}-", model.body_rootid == top
-        own_bodies = np.flatnonzero(tree)[1:]
-        own_joints = np.flatnonzero(tree[model.jnt_bodyid] & (model.jnt_type != _J.mjJNT_FREE))
-        names = [*(bodies[b] for b in own_bodies), *(joints[j] for j in own_joints)]
-        if all(name.startswith(prefix) for name in names) and prefix + bodies[top] not in names:
-            for b in own_bodies:
-                bodies[b] = bodies[b].removeprefix(prefix)
-            for j in own_joints:
-                joints[j] = joints[j].removeprefix(prefix)
 
 
 def _colliding(model: mujoco.MjModel) -> NDArray:
