@@ -46,7 +46,11 @@ def coacd_installed() -> bool:
 
 @dataclass
 class Budget:
-    """Time in which the meshes of an asset may be decomposed; each mesh has an equal share."""
+    """Time in which the meshes of an asset may be decomposed.
+
+    A mesh may use a quarter of the time that is left or, if there are fewer than four, its equal
+    share, so a mesh that takes too long leaves time to the others.
+    """
 
     meshes: int
     """Number of meshes that are not decomposed yet."""
@@ -61,7 +65,7 @@ class Budget:
     @contextmanager
     def share(self) -> Iterator[float]:
         """Yield the time for the next mesh [s]; what it does not need is left to the others."""
-        share, start = self.left_s / max(self.meshes, 1), time.monotonic()
+        share, start = self.left_s / max(min(self.meshes, 4), 1), time.monotonic()
         yield share
         self.meshes -= 1
         # Processor time is limited, so a mesh may take longer on a busy machine.

@@ -12,6 +12,7 @@ from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.physics.decompose import (
+    Budget,
     _coacd,
     coacd_installed,
     convex_pieces,
@@ -116,6 +117,16 @@ def test_open_meshes_are_not_turned():
     tray = tray_of_a_box()
     for faces in (tray.faces, tray.faces[:, ::-1]):
         assert np.array_equal(outward(tray.vertices, faces), faces)
+
+
+def test_a_mesh_leaves_time_to_the_others():
+    with bounded_by(FileOptions(decompose_s=120.0)):
+        for meshes, first_s in ((1, 120), (2, 60), (30, 30)):
+            budget = Budget.of(meshes)
+            with budget.share() as share_s:
+                assert share_s == first_s
+            # It needed no time.
+            assert budget.meshes == meshes - 1 and budget.left_s == pytest.approx(120, abs=1)
 
 
 def test_an_inverted_mesh_has_the_pieces_of_the_mesh(tmp_path, monkeypatch):
