@@ -40,10 +40,12 @@ class CheckCommand(AssetCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing import FILES, USD, ImportedScene, import_file
+        from ..export.importing import FILES, USD, ImportedScene, import_file, only_object
 
         suffix = self.target.suffix.lower()
         imported = import_file(self.target) if suffix in (*FILES, *USD) else None
+        if isinstance(imported, ImportedScene) and (self.repair or self.fixed_base):
+            imported = only_object(imported) or imported
         if isinstance(imported, ImportedScene):
             scene, notes = imported.spec, list(imported.notes)
         elif imported is not None or suffix == ".py":

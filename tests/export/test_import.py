@@ -1,9 +1,12 @@
 """Import of URDF and MJCF: round trips, assumptions, and notes of what is left out."""
 
+import json
+
 import numpy as np
 import pytest
 
 from neoworld_mjx.cache import VARIABLE
+from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
     export_object,
@@ -14,6 +17,7 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io.limited_worker import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial
+from neoworld_mjx.verify.checking import import_object
 from tests.support import scenes
 
 READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
@@ -105,6 +109,21 @@ def test_notes_of_a_scene_name_the_object_unless_they_concern_the_whole_file(tmp
         "1 sensor not imported",
         "equality (weld of crate and joint_block) is not imported",
     }
+
+
+def test_an_object_on_a_floor_is_checked_as_a_scene_or_by_itself(tmp_path, capfd):
+    path = tmp_path / "cup.xml"
+    path.write_text(
+        "<mujoco><worldbody><geom name='ground' type='plane' size='1 1 1'/><body name='cup' "
+        "pos='0 0 .1'><freejoint/><geom type='box' size='.1 .1 .1'/></body></worldbody></mujoco>"
+    )
+    for flags, entry in (((), "movable"), (("--repair",), "object")):
+        with pytest.raises(SystemExit) as left:
+            main(["check", str(path), "--json", *flags])
+        answer = json.loads(capfd.readouterr().out)
+        assert left.value.code == 0 and entry in answer
+    assert "only cup is used, without its surroundings: ground" in answer["notes"]
+    assert import_object(path).spec.name == "cup"
 
 
 def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatch):
