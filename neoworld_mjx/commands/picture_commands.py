@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import Command, CommandResult, ConfiguredCommand
+from .base_command import AssetCommand, Command, CommandResult, ConfiguredCommand
 from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
@@ -77,11 +77,11 @@ class PreviewCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(ConfiguredCommand):
+class RenderCommand(AssetCommand):
     """Render a scene or an object from the scene's or another camera, or as a turntable."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+    """A run folder, scene.json, object's folder, program (.py), or URDF, MJCF or glTF file."""
     out: Path | None = None
     """Output file, by default render.png next to the target; .gif or .webp with --turntable."""
     width: int | None = None
@@ -237,11 +237,11 @@ class PageCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewCommand(PageCommand):
+class ViewCommand(PageCommand, AssetCommand):
     """Show a scene or an object in the browser, with its joints and in free fall."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+    """A run folder, scene.json, object's folder, program (.py), or URDF, MJCF or glTF file."""
 
     def run(self) -> CommandResult:
         """Serve the page."""

@@ -103,6 +103,8 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
     """Scene of another method: a glTF file, or a poses.json next to its meshes."""
     photo: Path | None = None
     """With --from: the photograph of the scene."""
+    scale: float | None = None
+    """With --from: factor of all lengths in the file, such as 0.01 if it is in centimeters."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -116,12 +118,14 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
         keep_compilations()
         if self.source is not None:
             return self._rescue(self.source)
-        if self.photo is not None or self.stated() is not None:
-            flag = "--photo" if self.photo is not None else "evidence, such as --camera,"
-            raise ConfigError(
-                f"{flag} belongs to --from: {self.folder} has its photograph and evidence; change "
-                "them by reconstruct --resume"
-            )
+        stated = "evidence, such as --camera," if self.stated() is not None else None
+        given = {"--photo": self.photo, "--scale": self.scale, str(stated): stated}
+        for flag, value in given.items():
+            if value is not None:
+                raise ConfigError(
+                    f"{flag} belongs to --from: {self.folder} has its photograph and evidence; "
+                    "change them by reconstruct --resume"
+                )
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -137,7 +141,12 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return rescue_file(
-            source, self.folder, config, photo=self.photo, evidence=self.stated()
+            source,
+            self.folder,
+            config,
+            photo=self.photo,
+            evidence=self.stated(),
+            scale=self.scale,
         ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:
