@@ -32,7 +32,7 @@ from .alignment import (
     opening_deviation,
     prior_precision,
 )
-from .camera_evidence import edges_of_photo, linearized_edges
+from .camera_evidence import camera_estimates, edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, shown_at
 from .contacts import SceneGeoms, contacts
 from .depth_rows import CAMERA_REACHES, SceneDepth
@@ -499,6 +499,13 @@ def _result(
         math.degrees(after.fovy - before.fovy),
         after.height - before.height,
         objects,
+        camera_estimates(
+            after,
+            np.sqrt(np.diag(covariance)[:CAMERA]),
+            problem.evidence,
+            measured=problem.measured,
+            edges=problem.edges is not None,
+        ),
         fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
 

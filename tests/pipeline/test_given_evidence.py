@@ -14,8 +14,10 @@ from PIL import Image
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import EvidenceError, RunError, SpecError
+from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
-from neoworld_mjx.evidence.stored import evidence_files, read_stored
+from neoworld_mjx.evidence.masks import Masks
+from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored
 from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.parse.prompts import parse_request
@@ -179,6 +181,8 @@ def test_focal_length_of_exif_is_a_prior(tmp_path):
     gravity = StatedEvidence(gravity=(0, 1, 0))
     both = evidence_of_run(load_photo(tmp_path / "a.jpg"), gravity).evidence.camera
     assert both.focal_sd == 0.03 and both.pitch == pytest.approx(0)
+    assert both.source_of("focal") == "EXIF of a.jpg (26 mm)" != both.source_of("pitch")
+    assert "gravity; EXIF of a.jpg" in evidence_lines(nw.Evidence(camera=both))["camera"]
     calibrated = nw.Evidence(camera=nw.KnownCamera((640, 480), focal=600.0))
     read = evidence_of_run(load_photo(tmp_path / "a.jpg"), calibrated)
     assert read.evidence is calibrated and "0.80 times that of" in read.refused[0]
@@ -280,6 +284,27 @@ def test_refined_scene_and_exports_are_in_the_base_frame(both_frames):
     assert np.allclose(camera.xpos[:2], CALIBRATED.base[:2], atol=1e-6)
     ahead = -camera.xmat.reshape(3, 3)[:, 2]
     assert math.atan2(ahead[1], ahead[0]) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_run_shows_what_the_evidence_says(both_frames, tmp_path, photo, quick_config):
+    scene = read_scene(both_frames[0] / "compose" / "scene.json")
+    drawn = draw_scene(scene, scene.camera, SIZE[0])
+    values = np.where(np.isfinite(drawn.depth), drawn.depth, np.nan)
+    cup = scene.index("cup")
+    given = nw.Evidence(
+        camera=dataclasses.replace(CALIBRATED, base=None, heading=0.0),
+        depth=nw.DepthImage(values),
+        masks=Masks((drawn.owner == cup).astype(int), {"cup": 1}),
+    )
+    write_annotated(photo, tmp_path / "out", coffee(), quick_config, evidence=given)
+    aligned = json.loads((tmp_path / "out" / "compose" / "align.json").read_text())
+    assert {entry["source"] for entry in aligned["camera"].values()} == {"calibration"}
+    assert aligned["masks_iou"]["cup"]["aligned"] > 0.8
+    picture = np.asarray(Image.open(tmp_path / "out" / "pictures" / "depth.png")).astype(int)
+    on_cup = picture[:-30][np.asarray(Image.fromarray(drawn.owner == cup).resize((640, 427)))]
+    assert np.median(on_cup.max(axis=1)) > 200  # Not gray: its depth is measured.
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "calibration</td>" in page and "Rendered minus measured distance" in page
 
 
 def test_measures_do_not_depend_on_the_frame(both_frames):
