@@ -549,4 +549,6 @@ def _uncertainty(
     along, across, yaw, log_scale = (
         np.array([along, across, yaw, log_scale]) * CALIBRATION
     ).tolist()
+    if unknowns.round[k] and not unknowns.in_wall[k].any():
+        yaw = None
     return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale, joints=joints)

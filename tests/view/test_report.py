@@ -284,6 +284,7 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "cup": _place("pixels", joints={"slide_2": joint}),
         "jar": _place("box", "it is see-through", yaw=0.0472, yaw_deg=0.0001),
         "lid": _place("none", "it has no visible contour", yaw=0.0471, across=0.0004),
+        "can": _place("pixels", yaw=None, yaw_deg=0.0),
         "clock": _place("pixels", along=0.0, across=0.00002, yaw=1e-4, yaw_deg=0.0),
     }
     outlines = {
@@ -303,6 +304,7 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "heading not seen",
         "lid composition: it has no visible contour 5.0 +4 -1 unknown unknown along the view ±6 "
         "mm, across ±0.4 mm, heading ±3°, size ±3 %",
+        "can pixels 5 0.0 -1 unknown unknown along the view ±6 mm, across ±1 mm, heading not seen",
         "clock pixels 5.0 0.0 -1 unknown unknown along the wall ±0.1 mm, size ±3 %",
         *("cup: slide_2 opens 12.1 cm", "Outline off: median distance", "green where"),
     ):
