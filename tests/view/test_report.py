@@ -351,14 +351,26 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
     assert "depth" not in row("pixels") and "mask" not in row("pixels")
 
 
+def test_a_rescue_without_rows_of_objects_has_a_table_of_evidence(finished):
+    scene = scenes.coffee()
+    cup = scene.object("cup")
+    (finished / "given.json").write_text(scene.to_json())
+    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.03, "refused": ""}
+    _align(finished, {"cup": _place("none", "it is hidden", depth=depth)}, masks_iou={})
+    words = _photograph(finished)
+    assert "object contour depth mask cup not used: it is hidden" in words
+    assert f"puts it 30 mm above {cup.parent} none" in words
+
+
 def test_the_camera_is_shown_with_its_sources_and_the_picture_of_depth(finished):
     camera = {
         "pitch": {"value": 0.5, "deviation": 0.00035, "source": "camera.json"},
+        "roll": {"value": -1e-6, "deviation": 1e-6, "source": "camera.json"},
         "height": {"value": 0.5123, "deviation": 0.0114, "source": EVIL},
     }
     _align(finished, {"jar": _place("pixels")}, camera=camera)
     words = _photograph(finished)
-    assert "pitch 28.65 ° ±0.02 ° camera.json" in words
+    assert "pitch 28.65 ° ±0.02 ° camera.json roll 0.00 ° ±0.01 °" in words
     assert (
         "height 0.512 m ±0.011 m" in words and "<script" not in write_report(finished).read_text()
     )

@@ -95,8 +95,9 @@ def _camera_sources(aligned: dict[str, Any]) -> list[Markup]:
     camera, rows = aligned.get("camera") or {}, []
     for name, entry in camera.items():
         unit, factor = ("m", 1.0) if name == "height" else ("°", math.degrees(1.0))
-        value, deviation = factor * entry["value"], factor * entry["deviation"]
         digits = 3 if name == "height" else 2
+        value = round(factor * entry["value"], digits) + 0.0  # Adding 0.0 turns -0.0 into 0.0.
+        deviation = max(factor * entry["deviation"], 10.0**-digits)
         texts = [f"{value:.{digits}f} {unit}", f"±{deviation:.{digits}f} {unit}"]
         rows.append([labels.get(name, name), *texts, entry["source"]])
     heads = ["camera", "#value", "#standard deviation", "known by"]
