@@ -61,9 +61,9 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
         _frame(canvas, boxes[node.name], colours[node.name], thickness, dashed=node.occluded)
     tags: list[Region] = []
     for node in reversed(order):
-        tag = _tag(node.name, glyph)
+        tag = name_tag(node.name, glyph)
         corner = _place(tag.shape, boxes[node.name], (width, height), tags, boxes.values())
-        _stamp(canvas, tag, corner, colours[node.name])
+        stamp(canvas, tag, corner, colours[node.name])
         tags.append((corner[0], corner[1], corner[0] + tag.shape[1], corner[1] + tag.shape[0]))
     return Picture.of("parse", canvas)
 
@@ -126,7 +126,7 @@ def _dashes(length: int, thickness: int, dashed: bool) -> Bool[np.ndarray, " len
 
 
 @cache
-def _tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
+def name_tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
     """Return the mask of a name in the bitmap font, with a margin, magnified by `glyph`."""
     font = ImageFont.load_default_imagefont()
     left, top, right, bottom = font.getbbox(name)
@@ -158,7 +158,7 @@ def _place(
         region = (x, y, x + width, y + height)
         shift = abs(x - position[0]) + abs(y - position[1])
         return (
-            sum(_overlap(region, other) for other in tags),
+            sum(overlap(region, other) for other in tags),
             sum(_crosses(region, other) for other in frames),
             shift,
         )
@@ -174,21 +174,23 @@ def _inside(
     return x, y
 
 
-def _overlap(a: Region, b: Region) -> int:
+def overlap(a: Region, b: Region) -> int:
+    """Return the number of pixels that two regions share."""
     return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
 
 
 def _crosses(tag: Region, frame: Region) -> bool:
     within = tag[0] >= frame[0] and tag[1] >= frame[1] and tag[2] <= frame[2] and tag[3] <= frame[3]
-    return _overlap(tag, frame) > 0 and not within
+    return overlap(tag, frame) > 0 and not within
 
 
-def _stamp(
+def stamp(
     canvas: UInt8[np.ndarray, "h w 3"],
     tag: Bool[np.ndarray, "th tw"],
     at: tuple[int, int],
     colour: tuple[int, int, int],
 ) -> None:
+    """Draw a tag, black on a color, with its upper left corner at a pixel."""
     x, y = at
     under = canvas[y : y + tag.shape[0], x : x + tag.shape[1]]
     mask = tag[: under.shape[0], : under.shape[1]]
