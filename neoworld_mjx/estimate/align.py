@@ -360,9 +360,9 @@ class _Problem:
                 continue
             rise = sum(x[u] for u in unknowns.rise_columns(k))
             start = last if first is None else first
-            medians = [float(np.median(np.abs(pixels.residual))) for pixels in (start, last)]
+            was, now = (float(np.median(np.abs(pixels.residual))) for pixels in (start, last))
             reason = CONTRADICTED if k in refused else ""
-            found[k] = DepthOutcome(len(last.residual), *medians, float(rise), reason)
+            found[k] = DepthOutcome(len(last.residual), was, now, float(rise), reason)
         return found
 
     def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:

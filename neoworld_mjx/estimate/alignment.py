@@ -343,7 +343,8 @@ def prior_precision(
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
     precision[camera, camera] = 1 / deviations**2
-    precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
+    if deviations[TILT] >= MEASURED * PITCH:  # The pitch is a model's, and not known.
+        precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
     of_parts = stretches[STRETCH * len(unknowns.free) :]

@@ -7,7 +7,8 @@ from PIL import Image, ImageDraw, ImageFont
 from ..evidence.depth_image import DepthImage
 from ..evidence.masks import Masks
 from ..spec import SceneSpec
-from .depth_rows import LEAST_PIXELS, measured_depth, object_masks, pixel_rays
+from .colors import overlap
+from .depth_rows import LEAST_PIXELS, measured_depth, pixel_rays
 from .rasterize import DrawnObjects, draw_scene
 
 WIDTH_PX = 640
@@ -107,6 +108,5 @@ def mask_overlaps(scene: SceneSpec, masks: Masks) -> dict[str, float]:
     owner = draw_scene(scene, scene.camera, WIDTH_PX).owner
     names = [item.name for item in scene.objects]
     return {
-        names[k]: float((mask & (owner == k)).sum() / (mask | (owner == k)).sum())
-        for k, mask in object_masks(masks, names, *owner.shape).items()
+        names[k]: overlap(mask, owner == k) for k, mask in masks.at(names, *owner.shape).items()
     }

@@ -220,14 +220,14 @@ def draw_region(
     step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if s * factor >= 40)
     for axis, (low, high) in enumerate(((left, right), (top, bottom))):
         for value in range(-(-low // step) * step, high, step):
-            at, tag = (value - low) * factor, _tag(str(value), 1)
+            at, tag = (value - low) * factor, name_tag(str(value), 1)
             spots = (slice(0, 8), at) if axis == 0 else (at, slice(0, 8))
             canvas[spots] = COLOURS[0]
             corner = (at + 2, 0) if axis == 0 else (8, max(at - tag.shape[0] // 2, 0))
             covers = axis == 0 and at < 30  # The numbers of the left ruler are there.
             inside = corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]
             if inside and not covers:
-                _stamp(canvas, tag, corner, COLOURS[3])
+                stamp(canvas, tag, corner, COLOURS[3])
     return Picture.of("zoom", canvas)
 
 
