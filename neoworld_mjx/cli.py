@@ -121,7 +121,8 @@ def run(command: "Command") -> int:
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
         return BAD_INPUT
-    with _reserved_stdout() as out, _log_on_stderr(command):
+    reserved = contextlib.nullcontext(sys.stdout) if command.owns_stdout else _reserved_stdout()
+    with reserved as out, _log_on_stderr(command):
 
         def end() -> None:
             os.write(2, f"error: {MESSAGE}\n".encode())
@@ -143,7 +144,9 @@ def run(command: "Command") -> int:
         if "error" in result:
             print(f"error: {printable(str(result['error']))}", file=sys.stderr)
         try:
-            if command.json:
+            if command.owns_stdout:
+                pass
+            elif command.json:
                 # NaN and Infinity are not JSON and become null.
                 strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
                 print(json.dumps(strict), file=out)

@@ -43,6 +43,7 @@ LONG = (
         "estimate",
         "outside",
         "test_faults",
+        "commands",
     ),
 )
 """Folders and files that take longest; several workers begin with them and end together."""

@@ -72,7 +72,7 @@ def test_help_imports_nothing_heavy(words, heavy):
         (("reconstruct", "a.png", "--out", "x", "--until", "pars"), "export"),
         (("report", "{folder}"), "not a run folder"),
         (("view", "{folder}/nothing"), "no such file or folder"),
-        (("view", "{folder}/notes.txt"), "a program (.py), a URDF or an MJCF"),
+        (("view", "{folder}/notes.txt"), "a program (.py), a URDF, MJCF or glTF"),
         (("check", "{folder}/nothing.json"), "no such file or folder"),
         (("check", "{folder}/notes.txt"), "expected a run folder or a scene.json"),
         (("check", "{folder}/half.json"), "is not a scene"),

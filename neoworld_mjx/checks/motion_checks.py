@@ -90,7 +90,9 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
     elif piece.kind == "box":
         local = np.array(list(itertools.product((-1, 1), repeat=3))) * s
     else:
-        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        # The lowest point of a ring is one of the points, however the piece is turned.
+        lowest_angle = np.arctan2(-rotation[2, 1], -rotation[2, 0])
+        angle = lowest_angle + np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = np.column_stack([np.cos(angle), np.sin(angle)])
         if piece.kind == "cylinder":
             local = np.vstack(

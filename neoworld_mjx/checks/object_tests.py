@@ -23,7 +23,7 @@ from .simulation import Simulation, Trajectory
 from .static_checks import check_statics, without_bad_inertia
 from .verdict import Check, ScenarioKind, Verdict
 
-VERSION = "8"
+VERSION = "9"
 """Version of the object tests, which is part of the key of cached results.
 
 It is increased when a change of the tests can change the verdict on an object.

@@ -70,12 +70,13 @@ def check_statics(spec: ObjectSpec) -> Iterator[Check]:
 
 
 def is_placeholder(part: PartSpec) -> bool:
-    """Return True if a part stands for a link without geometry.
+    """Return True if a part stands for a link without colliders.
 
     A placeholder collides with nothing, and represents the mass and inertia of a body whose extent
     is unknown.
     """
-    return all(geom.material.startswith(HELPER) for geom in part.geoms)
+    colliding = [geom for geom in part.geoms if geom.role != "visual"]
+    return all(geom.material.startswith(HELPER) for geom in colliding)
 
 
 def _inertia(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
@@ -131,7 +132,7 @@ def _mass(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
 def _colliders(spec: ObjectSpec, part: PartSpec) -> Iterator[Check]:
     """Check that a part's colliders cover the visible shape, and do not exceed it by much."""
     roles = {geom.role for geom in part.geoms}
-    if roles == {"both"} or roles == {"collision"}:
+    if roles == {"both"} or roles == {"collision"} or is_placeholder(part):
         return
     points = visible_points(part)
     low, high = points.min(axis=0), points.max(axis=0)

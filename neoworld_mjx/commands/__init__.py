@@ -54,6 +54,11 @@ COMMANDS: dict[str, CommandEntry] = {
         ".export_command:ExportCommand",
         "Export a scene or an object to a format or for a simulator, and list what is lost.",
     ),
+    "preview": CommandEntry(
+        ".picture_commands:PreviewCommand",
+        "Draw a response to the request `parse` on the photograph, and check it, before it is "
+        "given.",
+    ),
     "render": CommandEntry(
         ".picture_commands:RenderCommand",
         "Render a scene or an object from the scene's or another camera, or as a turntable.",
@@ -68,6 +73,14 @@ COMMANDS: dict[str, CommandEntry] = {
     "annotate": CommandEntry(
         ".picture_commands:AnnotateCommand",
         "Annotate a photograph by hand, without a model: boxes, labels, camera and templates.",
+    ),
+    "mcp": CommandEntry(
+        ".mcp_command:McpCommand",
+        "Let an agent that sees pictures answer a run's requests (Model Context Protocol).",
+    ),
+    "skill": CommandEntry(
+        ".mcp_command:SkillCommand",
+        "Print the skill for coding agents, or install it into a folder of skills.",
     ),
     "sweep": CommandEntry(
         ".sweep_commands:SweepCommand",

@@ -21,6 +21,8 @@ class Command:
 
     ends_by_interrupt: ClassVar[bool] = False
     """If True, the command runs until Ctrl-C and then returns a result."""
+    owns_stdout: ClassVar[bool] = False
+    """If True, the command itself writes to stdout, such as a protocol."""
 
     json: bool = False
     """Print the result as one JSON object on stdout, and everything else on stderr."""
@@ -83,6 +85,29 @@ class ConfiguredCommand(Command):
         config = load_config(self.config, overrides)
         set_file_bounds(config.files)
         return config
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetCommand(ConfiguredCommand):
+    """Options of commands that read assets of other programs."""
+
+    package: UseAppendAction[tuple[str, ...]] = ()
+    """Folder of a ROS package as NAME=FOLDER, for URIs package://NAME/...; repeatable."""
+
+    def load_config(self, flags: dict[str, Any] | None = None) -> "Config":
+        """Load the configuration, and use the packages."""
+        from ..export.asset_files import set_packages
+
+        folders = {}
+        for text in self.package:
+            name, _, folder = text.partition("=")
+            if not name or not Path(folder or " ").is_dir():
+                raise ConfigError(
+                    f"--package takes NAME=FOLDER of an existing folder, got {text!r}"
+                )
+            folders[name] = Path(folder).resolve()
+        set_packages(folders)
+        return super().load_config(flags)
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:

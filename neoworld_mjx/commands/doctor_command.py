@@ -70,6 +70,11 @@ COMPONENTS = (
         "uv sync --inexact --extra openai",
     ),
     Component(
+        *("extra mcp", _installed("mcp")),
+        "coding agents cannot answer the requests of a run (neoworld mcp)",
+        "uv sync --inexact --extra mcp",
+    ),
+    Component(
         *("extra baselines", _installed("evosax")),
         "no refine.optimizer cma_es or evosax:STRATEGY",
         "uv sync --inexact --extra baselines",

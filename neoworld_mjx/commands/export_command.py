@@ -8,15 +8,16 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from ..names import FORMATS, PREFERRED_FORMATS, Format, Simulator
-from .base_command import CommandResult, ConfiguredCommand
+from .base_command import AssetCommand, CommandResult
 from .result_lines import export_lines
 
 if TYPE_CHECKING:
+    from ..config import Config
     from ..spec import ObjectSpec, SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(ConfiguredCommand):
+class ExportCommand(AssetCommand):
     """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]
@@ -30,13 +31,13 @@ class ExportCommand(ConfiguredCommand):
     colliders are converted to supported ones. For newton and isaac, a layer newton.usda or
     isaac.usda is written in addition to the USD file, with this simulator's contacts and joints."""
     floor: bool = False
-    """Add an infinite floor plane (MJCF)."""
+    """Add an infinite floor plane at z = 0, or below the lowest free object (MJCF)."""
     overwrite: bool = False
     """Allow an output folder that is not empty."""
 
     def run(self) -> CommandResult:
         """Write the files."""
-        from ..export.formats import LOSSES, collider_error, write_formats
+        from ..export.formats import collider_error, losses, write_formats
 
         if self.out.exists() and not self.out.is_dir():
             raise RunError(f"{self.out} is a file; name a folder")
@@ -46,7 +47,12 @@ class ExportCommand(ConfiguredCommand):
         mjx = self.simulator == "mjx"
         if mjx and "mjcf" not in kinds:
             raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")
-        described, notes = self._read()
+        if self.floor and "mjcf" not in kinds:
+            raise SpecError(
+                "--floor is written to MJCF only: add --format mjcf, or a floor in the simulator"
+            )
+        config = self.load_config()
+        described, notes = self._read(config)
         files = write_formats(
             described, self.out, kinds, simulator=self.simulator, floor=self.floor
         )
@@ -54,7 +60,7 @@ class ExportCommand(ConfiguredCommand):
             "target": str(self.target),
             "folder": str(self.out),
             "files": files,
-            "lost": {kind: list(LOSSES[kind]) for kind in kinds},
+            "lost": {kind: losses(kind, described) for kind in kinds},
         }
         if notes:
             result["notes"] = notes
@@ -66,8 +72,11 @@ class ExportCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         return export_lines(result)
 
-    def _read(self) -> "tuple[SceneSpec | ObjectSpec, list[str]]":
-        """Return the scene or object, and notes about losses on import."""
+    def _read(self, config: "Config") -> "tuple[SceneSpec | ObjectSpec, list[str]]":
+        """Return the scene or object, and notes about losses on import.
+
+        An object that its file fixes to the world is a scene, because objects are free.
+        """
         if self.target.is_dir() or self.target.suffix == ".json":
             from ..spec import read_scene
 
@@ -75,12 +84,14 @@ class ExportCommand(ConfiguredCommand):
         if self.target.suffix == ".py":
             from ..verify.checking import build_patched
 
-            built = build_patched(self.target, self.load_config().program).built
+            built = build_patched(self.target, config.program).built
             if built.spec is None or not built.ok:
                 errors = "; ".join(str(signal.message) for signal in built.signals)
                 raise SpecError(f"{self.target} does not build: {errors}")
             return built.spec, []
-        from ..export.importing import import_file
+        from ..export.importing import ImportedScene, import_file
 
         imported = import_file(self.target)
-        return imported.spec, list(imported.notes)
+        if isinstance(imported, ImportedScene) or not imported.fixed_base:
+            return imported.spec, list(imported.notes)
+        return imported.scene, list(imported.notes)

@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
 from ..quantities import count
-from .base_command import Command, CommandResult, ConfiguredCommand
+from .base_command import AssetCommand, Command, CommandResult
 from .result_lines import MAX_REASONS, object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCommand(ConfiguredCommand):
+class CheckCommand(AssetCommand):
     """Check a scene or an object, and print each check with its value and threshold.
 
     A run folder is checked with the options of the run, unless --config or --set is given.
@@ -40,10 +40,12 @@ class CheckCommand(ConfiguredCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing import FILES, USD, ImportedScene, import_file
+        from ..export.importing import FILES, USD, ImportedScene, import_file, only_object
 
         suffix = self.target.suffix.lower()
         imported = import_file(self.target) if suffix in (*FILES, *USD) else None
+        if isinstance(imported, ImportedScene) and (self.repair or self.fixed_base):
+            imported = only_object(imported) or imported
         if isinstance(imported, ImportedScene):
             scene, notes = imported.spec, list(imported.notes)
         elif imported is not None or suffix == ".py":
@@ -95,7 +97,7 @@ class CheckCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BuildCommand(ConfiguredCommand):
+class BuildCommand(AssetCommand):
     """Convert an object's program, URDF or MJCF file into every format and images."""
 
     program: Positional[Path]

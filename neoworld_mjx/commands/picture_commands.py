@@ -1,4 +1,4 @@
-"""Commands `render`, `view` and `annotate`: images, and pages in the browser."""
+"""Commands `preview`, `render`, `view` and `annotate`: images, and pages in the browser."""
 
 import logging
 import math
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import CommandResult, ConfiguredCommand
+from .base_command import AssetCommand, Command, CommandResult, ConfiguredCommand
 from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
@@ -18,17 +18,70 @@ if TYPE_CHECKING:
     from ..spec import Camera, SceneSpec
 
 _log = logging.getLogger(__name__)
+LARGEST_PX = 8192
+"""Maximum side of a request's photograph, which is not resized again [px]."""
 Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 """Default direction of the camera, slightly to the side of the photograph's camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(ConfiguredCommand):
+class PreviewCommand(Command):
+    """Draw a response to the request `parse` on the photograph, and check it, before it is given.
+
+    For a request of a mailbox, name its response.json: the photograph and the scene that a
+    correction changes are read from the same folder. A camera that is known from evidence is not
+    used; the tool of `neoworld mcp` uses it.
+    """
+
+    response: Positional[Path]
+    """The response: a JSON file, or a folder with response.json."""
+    photo: Path | None = None
+    """The photograph in the size that the request shows. Default: the first picture next to the
+    response."""
+    out: Path | None = None
+    """Output file, by default preview.png next to the response."""
+
+    def run(self) -> CommandResult:
+        """Write the picture, and return the numbers."""
+        from ..io.files import read_text, write_output
+        from ..mllm.requests import MAX_BODY_BYTES
+        from ..parse.photo import load_photo
+        from ..parse.preview import preview
+
+        folder = self.response if self.response.is_dir() else self.response.parent
+        file = folder / "response.json" if self.response.is_dir() else self.response
+        photo = self.photo or next(iter(sorted(folder.glob("1-*.*g"))), None)
+        if photo is None:
+            raise SpecError(f"{folder} contains no picture of a request: name one with --photo")
+        texts = []
+        for path in (file, folder / "prompt.md"):
+            try:
+                texts.append(read_text(path, MAX_BODY_BYTES))
+            except FileNotFoundError:
+                if path == file:
+                    raise SpecError(f"{file}: no such file; write the response first") from None
+                texts.append("")
+            except (OSError, UnicodeDecodeError) as error:
+                raise SpecError(f"cannot read {path}: {error}") from None
+        shown = preview(load_photo(photo, LARGEST_PX), *texts)
+        out = self.out or folder / "preview.png"
+        write_output(out, shown.picture.data, SpecError)
+        return {"picture": str(out), "objects": shown.objects, "issues": shown.issues}
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return one line for each object and each issue."""
+        from ..parse.preview import number_lines
+
+        return [*number_lines(result["objects"], result["issues"]), f"picture: {result['picture']}"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand(AssetCommand):
     """Render a scene or an object from the scene's or another camera, or as a turntable."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+    """A run folder, scene.json, object's folder, program (.py), or URDF, MJCF or glTF file."""
     out: Path | None = None
     """Output file, by default render.png next to the target; .gif or .webp with --turntable."""
     width: int | None = None
@@ -184,11 +237,11 @@ class PageCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewCommand(PageCommand):
+class ViewCommand(PageCommand, AssetCommand):
     """Show a scene or an object in the browser, with its joints and in free fall."""
 
     target: Positional[Path]
-    """A run folder, a scene.json, an object's folder, a program (.py), a URDF or an MJCF file."""
+    """A run folder, scene.json, object's folder, program (.py), or URDF, MJCF or glTF file."""
 
     def run(self) -> CommandResult:
         """Serve the page."""

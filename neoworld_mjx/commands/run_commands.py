@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -25,6 +25,10 @@ class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     """Run folder: new, empty, or a run to continue."""
     provider: str | None = None
     """Source of the models' responses: auto, anthropic, openai, replay or mailbox."""
+    model: str | None = None
+    """Name of the model that plays all roles, as its provider calls it."""
+    fast: bool = False
+    """Ask for each response once, without critics: fewer requests, but more errors stay."""
     engine: EngineChoice | None = None
     """Physics engine of the refine step."""
     seed: int | None = None
@@ -50,12 +54,19 @@ class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     def run(self) -> CommandResult:
         """Run the five steps."""
         from ..cache import keep_compilations
+        from ..config import WITHOUT_CRITICS, Role
         from ..pipeline import reconstruct
         from ..pipeline.bundled_examples import photo_of
 
-        config = self.load_config(
-            {"provider": self.provider, "refine.rollout.engine": self.engine, "seed": self.seed}
-        )
+        flags: dict[str, Any] = {
+            "provider": self.provider,
+            "refine.rollout.engine": self.engine,
+            "seed": self.seed,
+            **{f"mllm.{role}.model": self.model for role in get_args(Role)},
+        }
+        for group, options in WITHOUT_CRITICS.items() if self.fast else ():
+            flags |= {f"{group}.{key}": value for key, value in options.items()}
+        config = self.load_config(flags)
         keep_compilations()
         result = reconstruct(
             photo_of(self.photo),
@@ -92,6 +103,8 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
     """Scene of another method: a glTF file, or a poses.json next to its meshes."""
     photo: Path | None = None
     """With --from: the photograph of the scene."""
+    scale: float | None = None
+    """With --from: factor of all lengths in the file, such as 0.01 if it is in centimeters."""
     engine: EngineChoice | None = None
     """Physics engine."""
     seed: int | None = None
@@ -105,12 +118,14 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
         keep_compilations()
         if self.source is not None:
             return self._rescue(self.source)
-        if self.photo is not None or self.stated() is not None:
-            flag = "--photo" if self.photo is not None else "evidence, such as --camera,"
-            raise ConfigError(
-                f"{flag} belongs to --from: {self.folder} has its photograph and evidence; change "
-                "them by reconstruct --resume"
-            )
+        stated = "evidence, such as --camera," if self.stated() is not None else None
+        given = {"--photo": self.photo, "--scale": self.scale, str(stated): stated}
+        for flag, value in given.items():
+            if value is not None:
+                raise ConfigError(
+                    f"{flag} belongs to --from: {self.folder} has its photograph and evidence; "
+                    "change them by reconstruct --resume"
+                )
         overrides: dict[str, Any] = {}
         if self.seed is not None:
             overrides["seed"] = self.seed
@@ -126,7 +141,12 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
 
         config = self.load_config({"refine.rollout.engine": self.engine, "seed": self.seed})
         return rescue_file(
-            source, self.folder, config, photo=self.photo, evidence=self.stated()
+            source,
+            self.folder,
+            config,
+            photo=self.photo,
+            evidence=self.stated(),
+            scale=self.scale,
         ).summary()
 
     def lines(self, result: CommandResult) -> list[str]:

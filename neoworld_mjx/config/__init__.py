@@ -18,7 +18,7 @@ from .object_options import (
     RenderOptions,
     VerifyOptions,
 )
-from .run_config import Config, load_config, merged
+from .run_config import WITHOUT_CRITICS, Config, load_config, merged
 from .search_options import (
     CEMOptions,
     RefineOptions,
@@ -29,6 +29,7 @@ from .search_options import (
 )
 
 __all__ = [
+    "WITHOUT_CRITICS",
     "AlignOptions",
     "CEMOptions",
     "ComposeOptions",

@@ -50,6 +50,14 @@ class Config(Options):
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+WITHOUT_CRITICS: dict[str, Any] = {
+    "parse": {"critic_rounds": 0},
+    "program": {"critic_rounds": 0},
+    "verify": {"critic": "never"},
+}
+"""Options of a run that asks for each response once: no critic, and no revision by one."""
+
+
 def load_config(path: Path | None = None, overrides: dict[str, Any] | None = None) -> Config:
     """Load the configuration from a YAML file and overrides.
 

@@ -101,7 +101,8 @@ class ResetNoise:
     photo: float = 0.0
     """Factor of additional noise of the position and yaw of each aligned object. At 1, the noise
     has the standard deviations that the photograph leaves (`SceneObject.uncertainty`), so the
-    sampled scenes are consistent with the photograph."""
+    sampled scenes are consistent with the photograph. A round object is not turned, because every
+    heading looks the same."""
 
 
 @dataclass(frozen=True)

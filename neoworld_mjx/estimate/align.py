@@ -23,6 +23,7 @@ from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
 from .alignment import (
     Alignment,
+    DepthOutcome,
     EvidenceKind,
     FittedUnknowns,
     JointAlignment,
@@ -32,7 +33,7 @@ from .alignment import (
     opening_deviation,
     prior_precision,
 )
-from .camera_evidence import edges_of_photo, linearized_edges
+from .camera_evidence import camera_estimates, edges_of_photo, linearized_edges
 from .colors import LabImage, is_supported, overlap, shown_at
 from .contacts import SceneGeoms, contacts
 from .depth_rows import SceneDepth
@@ -56,6 +57,8 @@ NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
 PLANE_DEVIATIONS = {"pitch": math.radians(0.1), "roll": math.radians(0.1), "height": 0.003}
 """Standard deviations of the camera by the plane of a support: angles [rad], and log height."""
+CONTRADICTED = "the place that it suggests contradicts the object's colors or mask"
+"""Reason reported for objects whose depth is not used."""
 SAME_OVERLAP = 0.01
 """Difference of intersections over union with a known mask up to which they count as equal."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
@@ -260,7 +263,8 @@ def _solution(
         for _ in range(last.steps):
             equations, _ = problem.linearized(x, images[last.width], last, reasons)
             x = problem.solved(equations)
-    return _result(problem, x, equations, reasons)
+    outcomes = problem.depth_outcomes(x, contradicted)
+    return _result(problem, x, equations, reasons, outcomes)
 
 
 @dataclass(frozen=True)
@@ -334,6 +338,31 @@ class _Problem:
         ):
             if name not in known:
                 found[column] += change
+        return found
+
+    def depth_outcomes(
+        self, x: Float[np.ndarray, " u"], refused: Collection[int]
+    ) -> dict[int, DepthOutcome]:
+        """Return what the depth image says of each free object, by index.
+
+        Args:
+            x: values of the unknowns after the alignment.
+            refused: indices of the objects whose depth was not used.
+        """
+        if self.evidence.depth is None:
+            return {}
+        unknowns = self.unknowns
+        before, after = (self.depth_at(values) for values in (np.zeros_like(x), x))
+        found = {}
+        for k in unknowns.free.tolist():
+            first, last = before.pixels(k), after.pixels(k)
+            if last is None:
+                continue
+            rise = sum(x[u] for u in unknowns.rise_columns(k))
+            start = last if first is None else first
+            was, now = (float(np.median(np.abs(pixels.residual))) for pixels in (start, last))
+            reason = CONTRADICTED if k in refused else ""
+            found[k] = DepthOutcome(len(last.residual), was, now, float(rise), reason)
         return found
 
     def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
@@ -500,6 +529,7 @@ def _result(
     x: Float[np.ndarray, " u"],
     equations: NormalEquations,
     reasons: dict[int, str],
+    depths: dict[int, DepthOutcome],
 ) -> Alignment:
     unknowns, composed = problem.unknowns, problem.as_composed(equations)
     scene = unknowns.scene_at(x)
@@ -527,6 +557,7 @@ def _result(
             math.exp(entries[3]),
             uncertainty,
             joints,
+            depths.get(k),
         )
     return Alignment(
         scene.model_copy(update={"objects": tuple(items)}),
@@ -535,6 +566,13 @@ def _result(
         math.degrees(after.fovy - before.fovy),
         after.height - before.height,
         objects,
+        camera_estimates(
+            after,
+            np.sqrt(np.diag(covariance)[:CAMERA]),
+            problem.evidence,
+            measured=problem.measured,
+            edges=problem.edges is not None,
+        ),
         fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
 
@@ -578,4 +616,6 @@ def _uncertainty(
     along, across, yaw, log_scale = (
         np.array([along, across, yaw, log_scale]) * CALIBRATION
     ).tolist()
+    if unknowns.round[k] and not unknowns.in_wall[k].any():
+        yaw = None
     return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale, joints=joints)

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from ..spec import SceneSpec
 from ..spec.scene import PoseUncertainty
+from .camera_evidence import CameraEstimate
 from .contours import ShapeEvidence
 from .open_joints import OpenJoint
 from .priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
@@ -57,6 +58,22 @@ class JointAlignment:
 
 
 @dataclass(frozen=True)
+class DepthOutcome:
+    """Depths of one object before and after the alignment."""
+
+    pixels: int
+    """Number of pixels that were used."""
+    before_m: float
+    """Median absolute residual before the alignment [m]."""
+    after_m: float
+    """Median absolute residual after the alignment [m]."""
+    rise_m: float
+    """Height above its support that the depths indicate [m]."""
+    refused: str
+    """Reason why the depths are not used; empty if they are."""
+
+
+@dataclass(frozen=True)
 class ObjectAlignment:
     """Change of one object by the alignment."""
 
@@ -71,6 +88,8 @@ class ObjectAlignment:
     uncertainty: PoseUncertainty
     joints: dict[str, JointAlignment] = field(default_factory=dict)
     """Changes of the object's open joints, by name."""
+    depth: DepthOutcome | None = None
+    """Result of the depth image; None if there is none."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +144,8 @@ class Alignment:
     fovy_deg: float = 0.0
     height_m: float = 0.0
     objects: dict[str, ObjectAlignment] = field(default_factory=dict)
+    camera: dict[str, CameraEstimate] = field(default_factory=dict)
+    """Parameters of the camera, by their names in `Camera`; empty if nothing was aligned."""
     failure: str = ""
     """Reason why the alignment failed, in which case `scene` is the composed scene; empty if it did
     not fail."""
@@ -179,6 +200,7 @@ class Alignment:
         camera = ("pitch_deg", "roll_deg", "fovy_deg", "height_m")
         return {
             **{name: round(getattr(self, name), 5) for name in camera},
+            "camera": {name: _rounded(asdict(estimate)) for name, estimate in self.camera.items()},
             "objects": {
                 name: {
                     "evidence": change.evidence,
@@ -187,6 +209,7 @@ class Alignment:
                     "yaw_deg": round(change.yaw_deg, 3),
                     "size_ratio": round(change.size_ratio, 5),
                     "uncertainty": change.uncertainty.model_dump(mode="json"),
+                    **({} if change.depth is None else {"depth": _rounded(asdict(change.depth))}),
                     **_joints(change.joints),
                 }
                 for name, change in self.objects.items()
@@ -199,6 +222,11 @@ class Alignment:
             name: asdict(freed) | {"phrase": freed.phrase()}
             for name, freed in self.dimensions.items()
         }
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values, with numbers rounded to six decimals."""
+    return {k: round(v, 6) if isinstance(v, float) else v for k, v in values.items()}
 
 
 def _joints(joints: dict[str, JointAlignment]) -> dict[str, Any]:
@@ -315,7 +343,8 @@ def prior_precision(
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
     precision[camera, camera] = 1 / deviations**2
-    precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
+    if deviations[TILT] >= MEASURED * PITCH:  # The pitch is a model's, and not known.
+        precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
     of_parts = stretches[STRETCH * len(unknowns.free) :]

@@ -1,15 +1,18 @@
-"""Evidence about the camera from the vertical edges in the photograph.
+"""Evidence about the camera from the vertical edges in the photograph; sources of its parameters.
 
 The images of vertical edges meet at one point. It determines the camera's roll, and the ratio of
 tan(pitch) to the focal length.
 """
 
 import math
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..spec import Box2D
+from ..evidence.evidence import Evidence
+from ..spec import Box2D, Camera
 from .image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from .rasterize import WorldMesh
 from .unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns
@@ -117,3 +120,53 @@ def linearized_edges(
     deviations = np.array([max(edges.pitch_sd, LEAST_PITCH), max(edges.roll_sd, LEAST_ROLL)])
     residual = (np.array([edges.pitch, edges.roll]) - expected) / deviations
     return residual, jacobian / deviations[:, None]
+
+
+@dataclass(frozen=True)
+class CameraEstimate:
+    """One parameter of the camera after the alignment."""
+
+    value: float
+    """[rad], or [m] for the height."""
+    deviation: float
+    """Standard deviation, in the unit of `value`; not calibrated."""
+    source: str
+    """Where the value comes from."""
+
+
+def camera_estimates(
+    camera: Camera,
+    deviations: Float[np.ndarray, " 4"],
+    evidence: Evidence,
+    *,
+    measured: Collection[str],
+    edges: bool,
+) -> dict[str, CameraEstimate]:
+    """Return pitch, roll, fovy and height of an aligned camera, with their sources.
+
+    Args:
+        camera: the camera.
+        deviations: standard deviations of pitch, roll, log focal length and log height.
+        evidence: known camera and depth image.
+        measured: parameters that the response measured, as in `SceneTree.camera_measured`.
+        edges: True if vertical edges were used.
+    """
+    units = {"pitch": 1.0, "roll": 1.0, "fovy": math.sin(camera.fovy), "height": camera.height}
+    known = {} if evidence.camera is None else evidence.camera.deviations()
+    metric = evidence.depth is not None and evidence.depth.kind == "metric"
+    estimates = {}
+    for (name, unit), deviation in zip(units.items(), deviations.tolist(), strict=True):
+        parameter = "focal" if name == "fovy" else name
+        if evidence.camera is not None and parameter in known:
+            source = evidence.camera.source_of(parameter)
+        else:
+            from_photo = {
+                "measured in the response": name in measured,
+                "vertical edges": edges and name in ("pitch", "roll"),
+                "depth": metric and name != "fovy",
+            }
+            used = ", ".join(phrase for phrase, holds in from_photo.items() if holds)
+            source = f"estimated: {used}" if used else "estimated"
+        value = float(getattr(camera, name))
+        estimates[name] = CameraEstimate(value, abs(unit) * deviation, source)
+    return estimates

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotation
+from ..physics.placed import BALL_EXTENT
 from ..physics.sampling import is_round
 from ..physics.support import link_frame
 from ..render import visible_surface
@@ -76,6 +77,8 @@ EACH = 4
 STRETCH = 3
 """Number of nuisance unknowns of an object, and of the parts that a joint moves: the log stretches
 along the object's axes."""
+UPRIGHT = math.radians(15.0)
+"""Angle of a round object's axis from the vertical up to which its heading is not seen [rad]."""
 STEP = 1e-5
 """Step of finite differences, in the unit of each unknown."""
 
@@ -143,7 +146,7 @@ class Unknowns:
             np.array(free, int),
             frames(scene),
             np.array([_direction_in_wall(scene, item) for item in scene.objects]),
-            np.array([is_round(item) for item in scene.objects]),
+            np.array([_shows_no_heading(item) for item in scene.objects]),
             np.array(lowest),
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
             opened,
@@ -430,6 +433,19 @@ class Unknowns:
             for item in scene.objects
         ]
         return scene.model_copy(update={"objects": tuple(objects), "camera": camera})
+
+
+def _shows_no_heading(item: SceneObject) -> bool:
+    """Return whether the image of an object does not depend on its heading.
+
+    That is so for a round object that stands upright, and for a ball. The heading of a round object
+    that lies or leans is that of its axis.
+    """
+    if not is_round(item):
+        return False
+    size = np.subtract(*bounds(item.spec, item.joint_state)[::-1])
+    upright = abs(matrix(np.array(item.base_tilt))[2, 2]) > math.cos(UPRIGHT)
+    return bool(upright or np.ptp(size) < BALL_EXTENT * size.max())
 
 
 def _direction_in_wall(scene: SceneSpec, item: SceneObject) -> Float[np.ndarray, " 2"]:

@@ -64,6 +64,19 @@ class StatedEvidence(Spec):
     check: bool = True
     """False if a depth image is used although its edges are not those of the photograph."""
 
+    @property
+    def files(self) -> list[str]:
+        """Paths of the files and folders that the evidence names."""
+        entries = (self.camera, self.base, self.depth, self.masks)
+        named = ("file", "confidence", "camera", "names")
+        inner = [
+            getattr(e, name, None)
+            for e in entries
+            if isinstance(e, StatedDepth | StatedMasks)
+            for name in named
+        ]
+        return [value for value in (*entries, *inner) if isinstance(value, str)]
+
     def overridden(self, other: "StatedEvidence") -> "StatedEvidence":
         """Return a copy in which the stated values of another one take precedence."""
         return self.model_copy(

@@ -48,7 +48,13 @@ class KnownCamera:
     heading: float = 0.0
     """Direction of the view about +z in the base frame [rad]."""
     source: str = ""
-    """Where the values come from, such as a file's name or EXIF; for messages."""
+    """Where the values come from, such as a file's name; for messages."""
+    focal_source: str = ""
+    """Where the focal length comes from, if not from `source`."""
+
+    def source_of(self, name: CameraUnknown) -> str:
+        """Return where a known parameter comes from; "given" if it is not stated."""
+        return (self.focal_source if name == "focal" else "") or self.source or "given"
 
     def deviations(self) -> dict[CameraUnknown, float]:
         """Return the standard deviation of each known parameter, as in the alignment.

@@ -103,7 +103,8 @@ def evidence_lines(evidence: Evidence) -> dict[str, str]:
     """Return a line on each kind of evidence, with its source, by the name of the kind."""
     lines = {}
     if (camera := evidence.camera) is not None:
-        lines["camera"] = f"{', '.join(camera_phrases(camera))} ({camera.source})"
+        sources = "; ".join(filter(None, (camera.source, camera.focal_source)))
+        lines["camera"] = f"{', '.join(camera_phrases(camera))} ({sources})"
     if (depth := evidence.depth) is not None:
         known = np.isfinite(depth.values)
         height, width = depth.values.shape

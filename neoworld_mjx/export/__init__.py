@@ -1,9 +1,10 @@
 """Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
 from .formats import export_object, export_scene, object_files, scene_files
-from .importing import Imported, import_mjcf, import_urdf
+from .importing import import_mjcf, import_urdf
 from .link_frames import Frame, frames
 from .mechanism import Mechanism
+from .object_of_mechanism import Imported
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
 from .write_mjcf import mjcf_text

@@ -10,11 +10,18 @@ from ..errors import ExportError
 from ..io.files import write_inside
 from ..names import Format, Simulator
 from ..physics.lowering import polyhedron_error
-from ..spec import ObjectSpec, SceneSpec, bounds, link_poses, pieces, world_poses
-from ..spec.convex import box_around
+from ..spec import (
+    JointSpec,
+    Material,
+    ObjectSpec,
+    SceneSpec,
+    bounds,
+    pieces,
+    world_poses,
+)
 from .usd_layers import isaac_text, newton_text
 from .write_drives import drives_text
-from .write_glb import glb_bytes, mesh_files, texture_files
+from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
 from .write_sdf import sdf_text
@@ -28,25 +35,67 @@ LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
     "newton": newton_text, "isaac": isaac_text,
 }  # fmt: skip
 """Functions that return a USD layer with the settings of a simulator, by simulator."""
-LOSSES: dict[Format, tuple[str, ...]] = {
-    "mjcf": ("velocity limits of joints",),
+Holds = Callable[[SceneOrObject], bool]
+
+
+def _shapes(*types: str) -> Holds:
+    return lambda d: any(
+        geom.shape.type in types and geom.role != "visual"
+        for _, spec in _objects(d)
+        for part in spec.parts
+        for geom in part.geoms
+    )
+
+
+def _joints(holds: Callable[[JointSpec], object]) -> Holds:
+    return lambda d: any(holds(joint) for _, spec in _objects(d) for joint in spec.joints)
+
+
+def _materials(holds: Callable[[Material], object]) -> Holds:
+    return lambda d: any(holds(m) for _, spec in _objects(d) for m in spec.materials)
+
+
+_ball = _joints(lambda j: j.type == "ball")
+_moving = _joints(lambda j: j.type != "fixed")
+_textured = _materials(has_texture)
+_LOSSES: dict[Format, tuple[tuple[str, Holds], ...]] = {
+    "mjcf": (("velocity limits of joints", _joints(lambda j: j.velocity is not None)),),
     "urdf": (
-        "textures, metallic and roughness of materials",
-        "stiffness and armature of joints",
-        "ball joints, written as three hinges",
-        "friction of single colliders; each link states the mean of its colliders",
-        "exact colliders: those of moving parts shrink by 0.5 mm on each side, and ellipsoids "
-        "become meshes",
+        ("textures", _textured),
+        ("metallic and roughness of materials", lambda _: True),
+        ("stiffness and armature of joints", _joints(lambda j: j.stiffness or j.armature)),
+        ("ball joints, written as three hinges", _ball),
+        (
+            "friction of single colliders; each link states the mean of its colliders",
+            lambda d: any(len({m.friction for m in spec.materials}) > 1 for _, spec in _objects(d)),
+        ),
+        (
+            "exact colliders: those of moving parts shrink by 0.5 mm on each side",
+            _moving,
+        ),
+        ("ellipsoid colliders, written as meshes", _shapes("ellipsoid")),
+        ("poses of objects; scene.json has them", lambda d: isinstance(d, SceneSpec)),
     ),
-    "sdf": ("textures", "armature of joints", "joint positions; all joints are at zero"),
+    "sdf": (
+        ("textures", _textured),
+        ("armature of joints", _joints(lambda j: j.armature)),
+        (
+            "joint positions; all joints are at zero",
+            lambda d: isinstance(d, SceneSpec) and any(item.joint_state for item in d.objects),
+        ),
+    ),
     "usd": (
-        "ellipsoid colliders, written as meshes",
-        "limits on the twist of ball joints; their damping is a custom attribute",
+        ("ellipsoid colliders, written as meshes", _shapes("ellipsoid")),
+        ("limits on the twist of ball joints; their damping is a custom attribute", _ball),
     ),
-    "glb": ("joints, colliders, densities and friction",),
+    "glb": (("joints, colliders, densities and friction", lambda _: True),),
 }
-LOSSES["usdz"] = LOSSES["usd"]
-"""Data that a format cannot store, by format."""
+"""Data that a format cannot store, with a function that returns whether a scene has such data."""
+
+
+def losses(kind: Format, described: SceneOrObject) -> list[str]:
+    """Return the data of a scene or an object that a format cannot store."""
+    return [text for text, holds in _LOSSES["usd" if kind == "usdz" else kind] if holds(described)]
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
@@ -99,7 +148,8 @@ def write_formats(
         kinds: the formats.
         simulator: simulator that will load the files: "mjx" restricts MJCF to colliders that MJX
             supports; "newton" and "isaac" add a USD layer, newton.usda or isaac.usda.
-        floor: if True, MJCF contains an infinite floor at the height of the lowest collider.
+        floor: if True, MJCF contains an infinite floor at z = 0, or lower if a free object reaches
+            lower.
 
     Raises:
         ExportError: a file cannot be written.
@@ -156,7 +206,7 @@ def _files(
             files["object.urdf"] = urdf_text(described).encode()
             files["object.srdf"] = srdf_text(described).encode()
     if "mjcf" in kinds:
-        height = _lowest(described) if floor else None
+        height = _floor_height(described) if floor else None
         text = mjcf_text(described, target="mjx" if mjx else "mujoco", floor=height)
         files[f"{stem}.xml"] = text.encode()
         drives = drives_text(described, f"{stem}.xml")
@@ -214,19 +264,18 @@ def _package(described: SceneOrObject) -> bytes:
         return package.read_bytes()
 
 
-def _lowest(described: SceneOrObject) -> float:
-    """Return the height of the lowest point of all colliders [m]."""
+def _floor_height(described: SceneOrObject) -> float:
+    """Return 0, or the height of the lowest collider of a free object if it is lower [m]."""
     if isinstance(described, ObjectSpec):
         return float(bounds(described)[0][2])
-    lows = []
     poses = world_poses(described)
-    for item in described.objects:
-        part_poses = link_poses(item.spec, item.joint_state)
-        for part in item.spec.parts:
-            for _, piece, local in pieces(part):
-                piece_pose = poses[item.name].then(part_poses[part.name]).then(local)
-                lows.append(float(box_around(piece, piece_pose)[0][2]))
-    return min(lows)
+    lows = [
+        poses[item.name].pos[2]
+        + bounds(item.spec, item.joint_state, tuple(poses[item.name].quat.tolist()))[0][2]
+        for item in described.objects
+        if not item.static
+    ]
+    return float(min([0.0, *lows]))
 
 
 def _binary(layer: Sdf.Layer) -> bytes:

@@ -4,9 +4,9 @@ Readers of these formats return mechanisms, which are converted to ObjectSpecs w
 omissions. All files are read in a limited worker.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,32 +14,23 @@ from pydantic import ValidationError
 from ..errors import SpecError
 from ..evidence.file_camera import FileCamera
 from ..io.limited_worker import call_limited
-from ..io.names import RESERVED, identifier
+from ..io.names import identifier
 from ..io.text_files import validation_message
-from ..physics.decompose import coacd_installed, convex_pieces, decomposition_deadline, hull_points
 from ..spec import (
-    AuthoredInertia,
-    GeomSpec,
-    JointSpec,
-    Material,
-    Mesh,
-    ObjectSpec,
-    PartSpec,
     SceneObject,
     SceneSpec,
-    Site,
-    Sphere,
-    bounds,
-    recentred,
 )
-from ..spec.base import Vec3
-from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, triple, yaw_of
-from ..spec.primitives import BaseShape
-from ..spec.shapes import HELPER, UNKNOWN
-from ..spec.tree import name_on_cycle
-from .load_mesh import read_xml
-from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles, transformed
-from .read_mesh_scene import GLTF, POSES, MeshScene, read_gltf, read_mesh_scene
+from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
+from .asset_files import named_packages, read_xml, set_packages
+from .gltf_file import GLTF
+from .mechanism import (
+    Assembly,
+    FileScene,
+    gravity_notes,
+    transformed,
+)
+from .object_of_mechanism import Imported, budget_of, to_object
+from .read_mesh_scene import POSES, MeshScene, read_gltf, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
 
@@ -48,28 +39,8 @@ FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
 USD = (".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of USD files, which are refused with the names of converters."""
 MAX_OBJECTS = 500
-DENSITY = 400.0
-"""Density of links without a stated mass [kg/m^3]; the value is typical of furniture."""
-PLACEHOLDER_M = 0.001
-"""Radius of the sphere that replaces a link without geometry [m]."""
-MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
-
-
-@dataclass(frozen=True)
-class Imported:
-    """Object imported from a file of another program."""
-
-    spec: ObjectSpec
-    notes: tuple[str, ...]
-    """Notes on data that the import omits, and on assumptions that it makes."""
-    file_notes: tuple[str, ...] = ()
-    """Those of `notes` that concern the whole file, which may contain other objects."""
-    origin: Vec3 = (0.0, 0.0, 0.0)
-    """Origin of the object's frame, in the frame of the file [m]."""
-    joints: dict[str, str] = field(default_factory=dict)
-    """Name of each joint in `spec`, by the joint's name in the file."""
 
 
 def import_urdf(path: Path) -> Imported:
@@ -92,260 +63,6 @@ def import_mjcf(path: Path) -> Imported:
     return to_object(call_limited(read_mjcf, Path(path)))
 
 
-def to_object(mechanism: Mechanism, deadline: float | None = None) -> Imported:
-    """Convert a mechanism to an object.
-
-    A link that has no geometry, or only visual geometry, is merged into the link to which it is
-    fixed. A moving link without geometry gets a small sphere. Names are converted to valid
-    identifiers.
-
-    Args:
-        mechanism: result of a reader; this function modifies the mechanism's links and notes.
-        deadline: time until which meshes are decomposed; by default, `decomposition_deadline()`.
-
-    Raises:
-        SpecError: the mechanism has too many links, shapes or sites, its mimic joints form a cycle,
-            or a number is out of bounds.
-    """
-    deadline = decomposition_deadline() if deadline is None else deadline
-    name, by_name, notes = mechanism.name, mechanism.links, mechanism.notes
-    if len(by_name) > MAX_LINKS:
-        raise SpecError(f"{name} has {len(by_name)} links; the limit is {MAX_LINKS}")
-    if (shapes := sum(len(link.shapes) for link in by_name.values())) > MAX_SHAPES:
-        raise SpecError(f"{name} has {shapes} shapes; the limit is {MAX_SHAPES}")
-    if len(mechanism.sites) > MAX_SITES:
-        raise SpecError(f"{name} has {len(mechanism.sites)} sites; the limit is {MAX_SITES}")
-    moving, owner = _without_empty(by_name, mechanism.joints, notes)
-    names = _Names()
-    materials: dict[tuple, Material] = {}
-    parts = []
-    for link in by_name.values():
-        try:
-            parts.append(_part(link, names, materials, notes, deadline))
-        except ValidationError as error:
-            raise SpecError(
-                f"link {link.name} of {name}: {validation_message(error, PartSpec)}"
-            ) from None
-    part_names = {link.name: part.name for link, part in zip(by_name.values(), parts, strict=True)}
-    leaders = {joint.name: joint.mimic.joint for joint in moving if joint.mimic is not None}
-    if (looped := name_on_cycle(leaders)) is not None:
-        raise SpecError(f"joint {looped!r} mimics itself through other joints")
-    joint_names = {joint.name: names.take(joint.name, "joint") for joint in moving}
-    joints = []
-    for joint in moving:
-        update: dict[str, Any] = {
-            "name": joint_names[joint.name],
-            "parent": part_names[joint.parent],
-            "child": part_names[joint.child],
-        }
-        if joint.mimic is not None:
-            if joint.mimic.joint in joint_names:
-                leader = joint_names[joint.mimic.joint]
-                update["mimic"] = joint.mimic.model_copy(update={"joint": leader})
-            else:
-                update["mimic"] = None
-                notes.append(f"joint {joint.name}: the joint that it mimics is not imported")
-        joints.append(joint.model_copy(update=update).model_dump())
-    label = _Names().take(name, "object")
-    if name in RESERVED:
-        notes.append(f"the object is named {label} because MuJoCo reserves {name!r}")
-    try:
-        spec = ObjectSpec(
-            name=label,
-            materials=tuple(materials.values()),
-            parts=tuple(parts),
-            joints=tuple(map(JointSpec.model_validate, joints)),
-            sites=tuple(
-                Site(
-                    name=names.take(site.name, "site"),
-                    part=part_names[owner[site.part]],
-                    pos=site.pos,
-                )
-                for site in mechanism.sites
-            ),
-        )
-    except ValidationError as error:
-        raise SpecError(f"{name}: {validation_message(error, ObjectSpec)}") from None
-    low, high = bounds(spec)
-    origin = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2])
-    return Imported(
-        recentred(spec),
-        tuple(dict.fromkeys([*mechanism.file_notes, *notes])),
-        tuple(dict.fromkeys(mechanism.file_notes)),
-        triple(np.array(origin)),
-        joint_names,
-    )
-
-
-def _without_empty(
-    links: dict[str, Link], joints: list[JointSpec], notes: list[str]
-) -> tuple[list[JointSpec], dict[str, str]]:
-    """Merge links without geometry into links to which they are fixed; add a sphere to the others.
-
-    Returns:
-        The remaining joints, and the name of the link into which each link is merged, by link name.
-    """
-    changed = True
-    owner = {name: name for name in links}
-    while changed:
-        changed = False
-        for joint in joints:
-            if joint.type != "fixed":
-                continue
-            parent, child = links[joint.parent], links[joint.child]
-            if child.shapes and parent.shapes and not child.visual_only:
-                continue
-            target, merged = (parent, child) if parent.shapes else (child, parent)
-            _merge(target, merged)
-            del links[merged.name]
-            owner = {k: target.name if v == merged.name else v for k, v in owner.items()}
-            joints.remove(joint)
-            joints[:] = [_renamed(j, merged.name, target.name) for j in joints]
-            changed = True
-            break
-    for link in links.values():
-        if not link.shapes:
-            joint = next((j for j in joints if j.child == link.name), None)
-            frame = np.eye(4)
-            frame[:3, 3] = (0, 0, 0) if joint is None else joint.pos
-            link.shapes = [LinkShape(Sphere(radius=PLACEHOLDER_M), frame, "collision", hull=True)]
-            if link.mass is None or link.mass <= 0:
-                link.mass, link.com, link.inertia = 1e-3, frame[:3, 3], np.eye(3) * 1e-6
-            radius = f"{PLACEHOLDER_M * 1e3:g} mm"
-            notes.append(f"link {link.name} has no geometry: a sphere of radius {radius} is used")
-    return joints, owner
-
-
-def _merge(target: Link, merged: Link) -> None:
-    target.shapes += merged.shapes
-    if merged.mass is None or merged.mass <= 0 or merged.com is None:
-        return
-    if target.mass is None or target.com is None or target.inertia is None:
-        return  # The mass is derived from geometry later; the merged link's mass is neglected.
-    total = target.mass + merged.mass
-    com = (target.mass * target.com + merged.mass * merged.com) / total
-    inertia = np.zeros((3, 3))
-    for link in (target, merged):
-        assert link.mass is not None and link.com is not None
-        d = link.com - com
-        about_com = np.zeros((3, 3)) if link.inertia is None else link.inertia
-        inertia += about_com + link.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    target.mass, target.com, target.inertia = total, com, inertia
-
-
-def _renamed(joint: JointSpec, old: str, new: str) -> JointSpec:
-    swap = {k: new for k in ("parent", "child") if getattr(joint, k) == old}
-    return joint.model_copy(update=swap) if swap else joint
-
-
-def _part(
-    link: Link,
-    names: "_Names",
-    materials: dict[tuple, Material],
-    notes: list[str],
-    deadline: float,
-) -> PartSpec:
-    label = names.take(link.name, "part")
-    visual_only = all(item.role == "visual" for item in link.shapes)
-    helper = len(link.shapes) == 1 and link.shapes[0].shape == Sphere(radius=PLACEHOLDER_M)
-    if visual_only and not all(isinstance(item.shape, BaseShape) for item in link.shapes):
-        method = "CoACD" if coacd_installed() else "their convex hull, as CoACD is not installed"
-        notes.append(f"link {link.name} has no colliders: derived from its visuals by {method}")
-    geoms = []
-    for k, item in enumerate(link.shapes):
-        role = "both" if visual_only else item.role
-        shape = item.shape
-        if not isinstance(shape, BaseShape):
-            until = None if role == "visual" or item.hull else deadline
-            shape = _mesh(shape, until, link.name, notes)
-        if shape is None:
-            continue
-        geoms.append(
-            GeomSpec(
-                name=names.take(f"{label[:40]}_{k}", "geom"),
-                shape=shape,  # pyright: ignore[reportArgumentType] pydantic checks the union
-                pos=tuple(item.frame[:3, 3].tolist()),
-                quat=tuple(from_matrix(item.frame[:3, :3]).tolist()),
-                material=_material(item, materials, helper),
-                role=role,
-            )
-        )
-    if all(geom.role == "visual" for geom in geoms):
-        raise SpecError(f"link {link.name} has no geometry that can collide")
-    mass, inertia = link.mass, None
-    if mass is None:
-        notes.append(f"link {link.name} states no mass: a density of {DENSITY:g} kg/m^3 is assumed")
-    elif mass <= 0:
-        notes.append(f"link {link.name} states a mass of {mass:g} kg")
-        mass = 1e-9
-    if mass is not None and link.com is not None and link.inertia is not None:
-        t = link.inertia
-        inertia = AuthoredInertia(
-            pos=tuple(link.com.tolist()),
-            moments=(float(t[0, 0]), float(t[1, 1]), float(t[2, 2])),
-            products=(float(t[0, 1]), float(t[0, 2]), float(t[1, 2])),
-        )
-    return PartSpec(name=label, geoms=tuple(geoms), mass=mass, inertia=inertia)
-
-
-def _mesh(triangles: Triangles, deadline: float | None, link: str, notes: list[str]) -> Mesh | None:
-    """Return a mesh with the convex pieces of its collider, or None if the mesh has no extent.
-
-    The mesh is decomposed until the deadline. If `deadline` is None, the collider is the convex
-    hull of the mesh.
-    """
-    vertices, faces = (np.asarray(v) for v in triangles)
-    if not np.isfinite(vertices).all():
-        raise SpecError(f"link {link}: a mesh has vertices that are not finite")
-    if len(vertices) < 3 or len(faces) < 1 or np.ptp(vertices, axis=0).max() < 1e-6:
-        notes.append(f"link {link}: a mesh without extent is skipped")
-        return None
-    if len(vertices) == 3:
-        vertices = np.vstack([vertices, vertices.mean(axis=0)])
-    if deadline is None:
-        hulls = [hull_points(vertices)]
-    else:
-        hulls = convex_pieces(vertices, faces, deadline)
-    return Mesh(
-        vertices=tuple(map(tuple, vertices.astype(float).tolist())),
-        faces=tuple(map(tuple, faces.astype(int).tolist())),
-        hulls=tuple(tuple(map(tuple, points.tolist())) for points in hulls),
-    )
-
-
-def _material(item: LinkShape, materials: dict[tuple, Material], helper: bool) -> str:
-    gloss = {
-        key: round(min(max(value, 0.0), 1.0), 6)
-        for key in ("metallic", "roughness")
-        if (value := getattr(item, key)) is not None
-    }
-    key = (item.rgba, item.friction, helper, *gloss.items())
-    if key not in materials:
-        names = {material.name for material in materials.values()}
-        materials[key] = Material(
-            name=identifier(HELPER if helper else UNKNOWN, "material", names),
-            density=DENSITY,
-            friction=min(max(item.friction, 0.0), 10.0),
-            rgba=tuple(min(max(v, 0.0), 1.0) for v in item.rgba),  # pyright: ignore[reportArgumentType]
-            **gloss,
-        )
-    return materials[key].name
-
-
-class _Names:
-    """Generator of identifiers that are unique among the elements of a kind."""
-
-    def __init__(self) -> None:
-        self.taken: dict[str, set[str]] = {}
-
-    def take(self, name: str, kind: str) -> str:
-        """Return an unused identifier that resembles a name."""
-        taken = self.taken.setdefault(kind, set())
-        label = identifier(name, kind, taken)
-        taken.add(label)
-        return label
-
-
 @dataclass(frozen=True)
 class ImportedScene:
     """Scene imported from a file."""
@@ -362,7 +79,8 @@ class ImportedScene:
 def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
-    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene.
+    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene. URIs
+    package://NAME/... may refer to the folders of `asset_files.set_packages`.
 
     Raises:
         SpecError: the format is not supported, or the file is broken or hostile, refers to a file
@@ -370,18 +88,22 @@ def import_file(path: Path) -> Imported | ImportedScene:
     """
     path = Path(path)
     try:
-        read = call_limited(_read, path, needs=MESH_READERS)
+        read = call_limited(_read, path, named_packages(), needs=MESH_READERS)
         if isinstance(read, MeshScene):
             scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
-        return _imported(path, read)
+        if len(read.objects) == 1:
+            return _lone_object(read)
+        scene = scene_of_assemblies(path, read.objects)
+        return replace(scene, spec=scene.spec.model_copy(update={"gravity": read.gravity}))
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> MeshScene | list[Assembly]:
+def _read(path: Path, packages: Mapping[str, Path]) -> MeshScene | FileScene:
     """Read all objects of a file, and the camera that the file states."""
+    set_packages(packages)
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:
@@ -400,7 +122,7 @@ def _read(path: Path) -> MeshScene | list[Assembly]:
         supported = ", ".join((*FILES, POSES))
         raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
-        return [Assembly("/", read_urdf(path), np.eye(4), fixed=False)]
+        return FileScene([Assembly("/", read_urdf(path), np.eye(4))])
     if root.tag == "mujoco":
         return read_mjcf_scene(path)
     raise SpecError(
@@ -408,10 +130,17 @@ def _read(path: Path) -> MeshScene | list[Assembly]:
     )
 
 
-def _imported(path: Path, assemblies: list[Assembly]) -> Imported | ImportedScene:
-    if len(assemblies) == 1:
-        return to_object(transformed(assemblies[0].mechanism, assemblies[0].frame))
-    return scene_of_assemblies(path, assemblies)
+def _lone_object(read: FileScene) -> Imported:
+    """Return the only object of a file, with notes on what the file states of its surroundings."""
+    (assembly,) = read.objects
+    mechanism = transformed(assembly.mechanism, assembly.frame)
+    imported = replace(to_object(mechanism), gravity=read.gravity)
+    notes = [*imported.notes]
+    if imported.fixed_base:
+        place = ", ".join(f"{round(v, 4) + 0.0:g}" for v in imported.origin)
+        notes.append(f"the base is fixed to the world at ({place}) m")
+    notes += gravity_notes(read.gravity)
+    return replace(imported, notes=tuple(notes))
 
 
 def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene:
@@ -428,9 +157,9 @@ def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene
         raise SpecError(f"{path} has {len(assemblies)} objects; the limit is {MAX_OBJECTS}")
     objects: list[SceneObject] = []
     notes: list[str] = []
-    deadline = decomposition_deadline()
+    budget = budget_of([assembly.mechanism for assembly in assemblies])
     for assembly in assemblies:
-        imported = to_object(assembly.mechanism, deadline)
+        imported = to_object(assembly.mechanism, budget)
         name = identifier(imported.spec.name, "object", {item.name for item in objects})
         notes += [
             note if note in imported.file_notes else f"{name}: {note}" for note in imported.notes
@@ -442,6 +171,17 @@ def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene
     except ValidationError as error:
         raise SpecError(f"{path}: {validation_message(error, SceneSpec)}") from None
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
+
+
+def only_object(scene: ImportedScene) -> Imported | None:
+    """Return the object of a scene that contains nothing else but fixed surroundings, or None."""
+    items = [item for item in scene.spec.objects if not item.environment]
+    if len(items) != 1:
+        return None
+    (item,) = items
+    rest = ", ".join(other.name for other in scene.spec.objects if other.environment)
+    notes = [*scene.notes, f"only {item.name} is used, without its surroundings: {rest}"]
+    return Imported(item.spec, tuple(notes), fixed_base=item.fixed_base)
 
 
 def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObject:
@@ -457,11 +197,12 @@ def _scene_object(name: str, assembly: Assembly, imported: Imported) -> SceneObj
         if joint in imported.joints:
             state[f"{imported.joints[joint]}{dot}{axis}"] = value
     moves = any(joint.type != "fixed" for joint in spec.joints)
+    fixed = assembly.fixed or imported.fixed_base
     return SceneObject(
         name=name,
         spec=spec,
-        environment=assembly.fixed and not moves,
-        fixed_base=assembly.fixed and moves,
+        environment=fixed and not moves,
+        fixed_base=fixed and moves,
         xy=(x, y),
         z=z,
         yaw=yaw,

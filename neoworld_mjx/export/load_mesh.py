@@ -1,17 +1,10 @@
-"""Reads triangles from untrusted mesh files, and checks untrusted XML before a library parses it.
+"""Reads triangles and colors from untrusted mesh files.
 
 Readers call these functions in a limited worker (`io.limited_worker`), which bounds the memory and
 the time that a file takes, whatever it declares.
 """
 
 import io
-import json
-import os
-import re
-import struct
-import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -19,104 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..io import file_bounds
-from ..io.files import MIB, read_bytes
-from ..io.text_files import MAX_DEPTH
 from ..spec.shapes import MAX_VERTICES
+from .asset_files import asset_bytes, inside, refuse_entities
+from .gltf_file import GLTF, file_surfaces
+from .mesh_colors import Color, Surface, face_weights, mean_color, small_png, texture_color
 
-DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
-_NAMES = ("name", "file", "filename", "class", "childclass", "mesh", "material", "texture", "joint")
-"""Attributes whose values are names, which may look like numbers."""
-
-
-def read_xml(path: Path) -> ET.Element:
-    """Read an XML file that may be hostile or broken.
-
-    Raises:
-        SpecError: the file cannot be read, is truncated, declares entities, is nested too deeply,
-            or contains a number that is not finite.
-    """
-    try:
-        data = read_bytes(path, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise SpecError(f"cannot read {path}: {error.strerror}") from None
-    refuse_entities(path, data)
-    try:
-        root = ET.fromstring(data)
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise SpecError(f"{path} is not valid XML: {error}") from None
-    level = [root]
-    for _ in range(MAX_DEPTH):
-        level = [child for element in level for child in element]
-    if level:
-        raise SpecError(f"{path} is nested more than {MAX_DEPTH} elements deep")
-    for element in root.iter():
-        for key, value in element.attrib.items():
-            if key not in _NAMES and not all(map(_is_finite, value.split())):
-                label = element.get("name") or element.tag
-                raise SpecError(
-                    f"{path}: {element.tag} {label!r}: {key}={value!r} is not a finite number"
-                )
-    return root
-
-
-def refuse_entities(path: Path, data: bytes) -> None:
-    """Raise a SpecError if an XML file declares a document type or entities, which may expand."""
-    for text in (data, data[:4096].replace(b"\0", b"")):  # UTF-16 has a zero byte per letter.
-        if DECLARED.search(text):
-            raise SpecError(f"{path} declares a document type or entities, which are not read")
-
-
-def _is_finite(word: str) -> bool:
-    """Return False if a word is a number that is infinite or NaN."""
-    try:
-        return isfinite(float(word))
-    except ValueError:
-        return True
-
-
-def inside(path: Path, reference: str) -> Path:
-    """Return the path of a file that an XML file refers to.
-
-    Args:
-        path: the XML file.
-        reference: name or URI of the other file, as written in the XML file.
-
-    Raises:
-        SpecError: the other file is outside the XML file's folder, or does not exist.
-    """
-    folder = path.resolve().parent
-    plain = re.sub(r"^(package|model|file)://", "", reference.strip())
-    if plain != reference.strip() and reference.strip().startswith(("package://", "model://")):
-        # The name of the package may, but need not, be the name of a folder.
-        without_package = plain.split("/", 1)[-1]
-        plain = plain if (folder / plain).exists() else without_package
-    return inside_any(path, [plain], reference)
-
-
-def inside_any(path: Path, candidates: Sequence[str], reference: str) -> Path:
-    """Return the first existing file among the files that a name in an XML file may refer to.
-
-    Args:
-        path: the XML file.
-        candidates: paths relative to the XML file's folder.
-        reference: the name, for messages.
-
-    Raises:
-        SpecError: a candidate is outside the XML file's folder, or no candidate exists.
-    """
-    folder = path.resolve().parent
-    # An absolute candidate replaces the folder, and is refused unless it is below the folder.
-    targets = [Path(os.path.join(folder, candidate)).resolve() for candidate in candidates]
-    if not all(target.is_relative_to(folder) for target in targets):
-        raise SpecError(f"{path} names {reference!r}, which lies outside its folder {folder}")
-    existing = [target for target in targets if target.is_file()]
-    if not existing:
-        raise SpecError(f"{path} names {reference!r}, which does not exist")
-    return existing[0]
-
-
-SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".dae", *GLTF)
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
 def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
@@ -125,38 +27,104 @@ def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
     Raises:
         SpecError: the file is not a mesh, contains numbers that are not finite, or is too large.
     """
-    import trimesh
+    vertices, faces = joined(load_surfaces(path, []))
+    if len(vertices) > MAX_VERTICES or len(faces) == 0:
+        raise SpecError(f"{path} has {len(vertices)} vertices; the limit is {MAX_VERTICES}")
+    return vertices, faces
 
+
+def joined(surfaces: list[Surface]) -> tuple[NDArray, NDArray]:
+    """Return surfaces as one mesh, whose equal vertices are merged."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    vertices = np.concatenate([surface.vertices for surface in surfaces])
+    faces = np.concatenate([s.faces + first for s, first in zip(surfaces, starts, strict=False)])
+    return merged_vertices(vertices, faces)
+
+
+def load_surfaces(path: Path, notes: list[str]) -> list[Surface]:
+    """Return the surfaces of a mesh file, one for each material, in the file's units and axes.
+
+    Args:
+        path: the file.
+        notes: list to which notes on colors are added.
+
+    Raises:
+        SpecError: the file is not a mesh, contains numbers that are not finite, or is too large.
+    """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
         raise SpecError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
-    data = mesh_bytes(path)
+    surfaces = file_surfaces(path, notes) if kind in GLTF else _by_trimesh(path, kind, notes)
+    if sum(len(surface.vertices) for surface in surfaces) > 6 * MAX_VERTICES:
+        raise SpecError(f"{path} has too many vertices; the limit is {MAX_VERTICES}")
+    result = []
+    for surface in surfaces:
+        vertices, faces = surface.vertices, surface.faces
+        if faces.ndim != 2 or vertices.ndim != 2 or len(faces) == 0:
+            continue
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise SpecError(f"{path}: a face refers to a missing vertex")
+        if not np.isfinite(vertices).all():
+            raise SpecError(f"{path} has numbers that are not finite")
+        merged = merged_vertices(vertices, faces)
+        if len(merged[0]) > MAX_VERTICES:
+            raise SpecError(f"{path} has {len(merged[0])} vertices; the limit is {MAX_VERTICES}")
+        if len(merged[1]):
+            result.append(surface._replace(vertices=merged[0], faces=merged[1]))
+    if not result:
+        raise SpecError(f"{path} has no triangles")
+    return result
+
+
+def _by_trimesh(path: Path, kind: str, notes: list[str]) -> list[Surface]:
+    import trimesh
+
+    data = asset_bytes(path)
     if kind == ".dae":
         refuse_entities(path, data)
     try:
-        loaded = trimesh.load(
+        loaded: Any = trimesh.load(
             io.BytesIO(data),
             file_type=kind[1:],
-            resolver=folder_buffers(path),
-            force="mesh",
+            resolver=_folder_files(path, notes),
+            force="scene",
             process=False,
-            skip_materials=True,
         )
-        vertices, faces = np.array(loaded.vertices, float), np.array(loaded.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
+        meshes = loaded.dump(concatenate=False)
+        return [_surface(mesh, notes) for mesh in meshes if hasattr(mesh, "faces")]
     except (SpecError, MemoryError):
         raise
     except Exception as error:  # trimesh raises errors of many types
         raise SpecError(f"{path} is not a mesh: {type(error).__name__}: {error}"[:300]) from None
-    if len(faces) == 0 or len(vertices) < 3 or faces.ndim != 2 or vertices.ndim != 2:
-        raise SpecError(f"{path} has no triangles")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise SpecError(f"{path}: a face refers to a missing vertex")
-    if not np.isfinite(vertices).all():
-        raise SpecError(f"{path} has numbers that are not finite")
-    vertices, faces = merged_vertices(vertices, faces)
-    if len(vertices) > MAX_VERTICES or len(faces) == 0:
-        raise SpecError(f"{path} has {len(vertices)} vertices; the limit is {MAX_VERTICES}")
-    return vertices, faces
+
+
+def _surface(mesh: Any, notes: list[str]) -> Surface:
+    """Return a mesh of trimesh with its color."""
+    vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+    if len(faces) == 0 or faces.max() >= len(vertices):
+        return Surface(vertices, faces)
+    visual, rgba = mesh.visual, None
+    if visual.kind == "texture":
+        material = visual.material
+        image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        rgba = np.array(material.main_color, float) / 255
+        opacity = getattr(material, "kwargs", {}).get("d")
+        if opacity is not None:
+            rgba[3] = float(np.ravel(opacity)[0])
+        if image is not None and visual.uv is not None:
+            # Files that name a texture often leave the color black.
+            factor = rgba if rgba[:3].any() else np.ones(4)
+            rgba = factor * texture_color(image, np.asarray(visual.uv), vertices, faces, notes)
+    elif visual.kind in ("vertex", "face"):
+        colors = np.asarray(visual.face_colors, float) / 255
+        rgba = mean_color(colors, face_weights(vertices, faces), f"{visual.kind} colors", notes)
+    return Surface(vertices, faces, None if rgba is None else as_color(rgba))
+
+
+def as_color(rgba: NDArray) -> Color:
+    """Return an array [4] as a color."""
+    red, green, blue, alpha = (float(v) for v in rgba)
+    return red, green, blue, alpha
 
 
 def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
@@ -171,34 +139,25 @@ def merged_vertices(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray
     return vertices, faces[np.sort(unique)]
 
 
-def mesh_bytes(path: Path) -> bytes:
-    """Read a mesh file of at most `files.max_file_mib`; raise a SpecError if it cannot be read."""
-    try:
-        return read_bytes(path, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise SpecError(f"cannot read {path}: {error.strerror}") from None
-
-
-def gltf_document(data: bytes) -> dict[str, Any]:
-    """Return the JSON document of a text or binary glTF file, without checking its contents."""
-    if data[:4] == b"glTF" and len(data) >= 20:
-        (length,) = struct.unpack_from("<I", data, 12)
-        data = data[20 : 20 + length]
-    return json.loads(data)
-
-
-def folder_buffers(path: Path) -> Any:
-    """Return a resolver that gives a glTF file access only to .bin files in its folder."""
+def _folder_files(path: Path, notes: list[str]) -> Any:
+    """Return a resolver that gives a mesh file access to materials and pictures of its asset."""
     from trimesh.resolvers import Resolver
 
-    class Buffers(Resolver):
+    class Files(Resolver):
         def __init__(self) -> None:
             pass
 
         def get(self, key: str) -> bytes:
-            if not str(key).endswith(".bin"):
-                raise FileNotFoundError(key)
-            return mesh_bytes(inside(path, str(key)))
+            name = str(key)
+            try:
+                file = inside(path, name)
+                if name.lower().endswith(PICTURES):
+                    return small_png(asset_bytes(file), file.name)
+                if name.lower().endswith(".mtl"):
+                    return asset_bytes(file)
+            except SpecError as error:
+                notes.append(f"{path.name}: {error}"[:200])
+            raise FileNotFoundError(name)
 
         def keys(self) -> list[str]:
             return []
@@ -209,4 +168,4 @@ def folder_buffers(path: Path) -> Any:
         def write(self, name: str, data: bytes) -> None:
             raise PermissionError(name)
 
-    return Buffers()
+    return Files()

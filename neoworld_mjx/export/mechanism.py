@@ -9,19 +9,28 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..spec import JointSpec, Site
+from ..spec.base import Vec3
 from ..spec.object import Role
 from ..spec.pose import ArrayLike, triple
 from ..spec.primitives import BaseShape
 from ..spec.tree import name_on_cycle
+from .mesh_colors import Color, Surface
 
+GRAVITY = (0.0, 0.0, -9.81)
+"""Gravitational acceleration of scenes by default [m/s^2]."""
 GRAY = (0.7, 0.7, 0.7, 1.0)
 """Color of a shape if the file states no color."""
+SLIDE_M = 10.0
+"""Largest displacement of a slide joint without limits, which objects cannot have [m]."""
+WORLD = "world"
+"""Name of the root link of an object that joints connect to the world."""
 Triangles = tuple[NDArray, NDArray]
 """Vertices of a mesh [m], shape [v, 3], and faces, shape [f, 3]."""
 
@@ -34,14 +43,27 @@ class LinkShape:
     frame: NDArray
     """Pose of the shape in the root frame with all joints at zero [m], shape [4, 4]."""
     role: Role
-    rgba: tuple[float, float, float, float] = GRAY
+    rgba: Color = GRAY
     friction: float = 0.5
     hull: bool = False
     """If True, the convex hull of the mesh is the collider."""
+    mesh: int | None = None
+    """Number of the mesh that this is a surface of, if the surfaces of a mesh have several colors;
+    if the link has no colliders, its collider is derived from the whole mesh."""
+    placeholder: bool = False
+    """True for the small sphere that replaces the colliders of a link without any."""
     metallic: float | None = None
     """Metallic fraction of the material, from 0 to 1."""
     roughness: float | None = None
     """Roughness of the material, from 0 to 1."""
+
+
+class StatedMass(NamedTuple):
+    """Mass that a file states for a link, as in `Link`."""
+
+    mass: float
+    com: NDArray
+    inertia: NDArray
 
 
 @dataclass
@@ -57,7 +79,11 @@ class Link:
     inertia: NDArray | None = None
     """Inertia about the center of mass, in the axes of the root frame [kg m^2], shape [3, 3]."""
     visual_only: bool = False
-    """True if the link has neither mass nor colliders."""
+    """True if the file states that the link collides with nothing."""
+    static: bool = False
+    """True if the link belongs to the world, so that its mass has no effect."""
+    masses: list["StatedMass"] = field(default_factory=list)
+    """Masses of the links that are merged into this one."""
 
 
 @dataclass
@@ -73,6 +99,8 @@ class Mechanism:
     """Notes on data of the object that the reader omits, and on assumptions that it makes."""
     file_notes: list[str] = field(default_factory=list)
     """The same for the whole file; mechanisms from one file may share this list."""
+    fixed: bool = False
+    """True if the root link cannot move."""
 
     @property
     def root(self) -> str:
@@ -90,11 +118,55 @@ class Assembly:
     mechanism: Mechanism
     frame: NDArray
     """Rigid transform from the mechanism's frame to the world frame (Z up) [m], shape [4, 4]."""
-    fixed: bool
-    """True if the root link cannot move."""
+    fixed: bool = False
+    """True if the root link cannot move although the mechanism itself does not state it."""
+    world: bool = False
+    """True if the object consists of geoms of the world body."""
     state: dict[str, float] = field(default_factory=dict)
     """Joint positions in the file [rad or m], by joint name. A ball joint has three entries, whose
     names end in .x, .y and .z."""
+
+
+@dataclass(frozen=True)
+class FileScene:
+    """Objects of a file, with their poses in the world frame (Z up)."""
+
+    objects: list[Assembly]
+    gravity: Vec3 = GRAVITY
+    """Gravitational acceleration [m/s^2]."""
+
+
+def gravity_notes(gravity: Vec3) -> list[str]:
+    """Return a note for an object if the gravity of its file is not that of scenes by default."""
+    if np.allclose(gravity, GRAVITY, atol=0.01):
+        return []
+    stated = " ".join(f"{v:g}" for v in gravity)
+    return [f"gravity {stated} m/s^2 is not kept by an object, only by a scene"]
+
+
+def visual_shapes(
+    surfaces: Sequence[Surface], frame: NDArray, groups: Sequence[int], rgba: Color | None = None
+) -> list[LinkShape]:
+    """Return the surfaces of meshes as visual shapes.
+
+    Args:
+        surfaces: surfaces of one or several meshes, in the frame of the shapes.
+        frame: pose of the shapes in the root frame [m], shape [4, 4].
+        groups: number of the mesh that each surface is a part of.
+        rgba: color of all surfaces; by default, each has its own, or is gray.
+    """
+    return [
+        LinkShape(
+            (surface.vertices, surface.faces),
+            frame,
+            "visual",
+            rgba or surface.rgba or GRAY,
+            metallic=surface.metallic,
+            roughness=surface.roughness,
+            mesh=group if groups.count(group) > 1 else None,
+        )
+        for surface, group in zip(surfaces, groups, strict=True)
+    ]
 
 
 def transformed(mechanism: Mechanism, transform: NDArray) -> Mechanism:

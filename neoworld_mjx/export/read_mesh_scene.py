@@ -12,11 +12,10 @@ ahead). In this case, "up" states the vertical in the camera's frame, the scene 
 pose and the intrinsics of the photograph's camera.
 """
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,23 +33,29 @@ from ..evidence.file_camera import (
 )
 from ..evidence.lens import Lens
 from ..io import read_model
+from ..quantities import count
 from ..spec import Camera, Spec
 from ..spec.base import Vec3
 from ..spec.pose import Pose, from_yaw, pose, rotate
-from .load_mesh import (
-    SUFFIXES,
-    folder_buffers,
-    gltf_document,
-    inside,
-    load_mesh,
-    merged_vertices,
-    mesh_bytes,
+from .asset_files import inside
+from .gltf_file import (
+    MAX_NODES,
+    GltfFile,
+    broken,
+    moved,
+    node_matrix,
+    node_surfaces,
+    nodes_below,
+    parents_of,
+    read_gltf_file,
+    roots_of,
 )
-from .mechanism import Assembly, Link, LinkShape, Mechanism, Triangles
+from .load_mesh import SUFFIXES, load_surfaces, merged_vertices
+from .mechanism import Assembly, Link, Mechanism, visual_shapes
+from .mesh_colors import Surface
 from .write_glb import OBJECT_EXTRAS, Y_UP
 
 POSES = "poses.json"
-MAX_NODES = 500
 
 
 class Viewpoint(NamedTuple):
@@ -157,19 +162,21 @@ def read_mesh_scene(path: Path) -> MeshScene:
 
 def mesh_object(
     name: str,
-    meshes: Sequence[Triangles],
+    surfaces: Sequence[Surface],
     transform: NDArray,
     *,
     fixed: bool = False,
+    groups: Sequence[int] = (),
 ) -> Assembly:
     """Return meshes at a pose as one rigid object, whose colliders are derived from the meshes.
 
     Args:
         name: name of the object.
-        meshes: vertices and faces of each mesh, in the object's frame.
+        surfaces: surfaces of the meshes in the object's frame.
         transform: affine transform from the object's frame to the world frame, shape [4, 4]; its
             scale is applied to the meshes.
         fixed: if True, the object cannot move.
+        groups: number of the mesh that each surface is a part of; by default, each is a mesh.
 
     Raises:
         SpecError: the transform is singular or not affine.
@@ -182,23 +189,32 @@ def mesh_object(
         raise SpecError(f"object {name[:40]}: its pose is singular")
     # If the transform mirrors, the mesh is mirrored, and the rotation remains proper.
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    frame = np.eye(4)
+    frame, local = np.eye(4), np.eye(4)
     frame[:3, :3], frame[:3, 3] = rotation, transform[:3, 3]
-    turn = 1 if np.linalg.det(linear) > 0 else -1
-    local = [(vertices @ (rotation.T @ linear).T, faces[:, ::turn]) for vertices, faces in meshes]
-    visuals = [LinkShape(triangles, np.eye(4), "visual") for triangles in local]
-    link = Link("body", visuals, visual_only=True)
+    local[:3, :3] = rotation.T @ linear
+    shapes = visual_shapes(
+        [moved(surface, local) for surface in surfaces],
+        np.eye(4),
+        groups or range(len(surfaces)),
+    )
+    link = Link("body", shapes)
     return Assembly(name, Mechanism(name, {"body": link}, []), frame, fixed)
 
 
 def _posed(path: Path, name: str, item: PosedFile, to_world: NDArray) -> Assembly:
     file, transform = inside(path, item.file), to_world @ np.array(item.pose)
     if file.suffix.lower() in SUFFIXES:
-        return mesh_object(name, [load_mesh(file)], transform, fixed=item.fixed)
+        notes: list[str] = []
+        surfaces = load_surfaces(file, notes)
+        groups = [0] * len(surfaces)
+        result = mesh_object(name, surfaces, transform, fixed=item.fixed, groups=groups)
+        result.mechanism.notes += notes
+        return result
     mechanism = _mechanism(file)
     # The file contains only this object, whereas `path` contains several.
     notes = [*mechanism.file_notes, *mechanism.notes]
-    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[])
+    # The list of poses says which objects are fixed.
+    mechanism = replace(mechanism, name=name, notes=notes, file_notes=[], fixed=False)
     rotation = transform[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise SpecError(f"{path}, object {name[:40]}: the pose of a model must be rigid")
@@ -217,7 +233,6 @@ def _mechanism(file: Path) -> Mechanism:
     raise SpecError(f"{file}: objects are meshes ({', '.join(SUFFIXES)}), URDF or MJCF files")
 
 
-GLTF = (".glb", ".gltf")
 Z_UP = Y_UP.T
 """Transform from glTF's axes (Y up) to axes with Z up."""
 
@@ -226,86 +241,83 @@ def read_gltf(path: Path) -> MeshScene:
     """Read the objects and the first perspective camera of a text or binary glTF file.
 
     Raises:
-        SpecError: the file is broken or hostile.
+        SpecError: the file is broken or hostile, or requires an extension that is not read.
     """
-    import trimesh
-
-    data = mesh_bytes(path)
     try:
-        loaded: Any = trimesh.load(
-            io.BytesIO(data),
-            file_type=path.suffix.lower()[1:],
-            resolver=folder_buffers(path),
-            force="scene",
-            process=False,
-            skip_materials=True,
-        )
-        count = len(loaded.graph.nodes_geometry)
-        if not 0 < count <= MAX_NODES:
-            raise SpecError(f"{path} has {count} meshes in its nodes; expected 1 to {MAX_NODES}")
-        posed = [_meshes_below(loaded, node) for node in _object_nodes(loaded.graph)]
-        camera = _gltf_camera(gltf_document(data))
-    except SpecError:
+        file = read_gltf_file(path)
+        shown = nodes_below(file, roots_of(file))
+        meshed = {k for k in shown if "mesh" in file.rows("nodes")[k]}
+        if not 0 < len(meshed) <= MAX_NODES:
+            raise SpecError(
+                f"{path} has {len(meshed)} meshes in its nodes; expected 1 to {MAX_NODES}"
+            )
+        objects = [_gltf_object(file, node) for node in _object_nodes(file, meshed)]
+        camera = _gltf_camera(file)
+    except (SpecError, MemoryError):
         raise
-    except Exception as error:  # trimesh raises errors of many types
-        raise SpecError(f"{path} is not glTF: {type(error).__name__}: {error}"[:300]) from None
-    objects = [mesh_object(name, meshes, transform) for name, meshes, transform in posed if meshes]
-    return MeshScene(objects, camera)
+    except Exception as error:  # Broken files cause errors of many types.
+        raise broken(path, error) from None
+    found = [item for item in objects if item is not None]
+    if not found:
+        raise SpecError(f"{path} has no triangles")
+    if animations := file.rows("animations"):
+        found[0].mechanism.file_notes.append(f"{count(animations, 'animation')} not imported")
+    return MeshScene(found, camera)
 
 
-def _object_nodes(graph: Any) -> list[Any]:
+def _object_nodes(file: GltfFile, meshed: set[int]) -> list[int]:
     """Return the nodes of a glTF scene that represent objects.
 
     An object consists of all meshes in and below its node. The search for objects begins at the
-    root of the scene. It descends by a level as long as the current level has a single node with
+    roots of the scene. It descends by a level as long as the current level has a single node with
     meshes in or below it, this node has no mesh, and the node's extras do not mark it as an object.
     """
-    meshed, tree = set(graph.nodes_geometry), graph.transforms
-    level = [graph.base_frame]
-    while len(level) == 1 and level[0] not in meshed:
-        extras = tree.edge_data.get((tree.parents.get(level[0]), level[0]), {}).get("metadata")
-        if extras and OBJECT_EXTRAS.items() <= extras.items():
-            break
-        level = [node for node in tree.children.get(level[0], []) if meshed & tree.successors(node)]
-    return level
+    nodes, level = file.rows("nodes"), roots_of(file)
+    while True:
+        level = [node for node in level if meshed & set(nodes_below(file, [node]))]
+        if len(level) != 1 or level[0] in meshed:
+            return level
+        extras = nodes[level[0]].get("extras")
+        if isinstance(extras, dict) and OBJECT_EXTRAS.items() <= extras.items():
+            return level
+        level = nodes[level[0]].get("children", [])
 
 
-def _meshes_below(loaded: Any, node: Any) -> tuple[str, list[Triangles], NDArray]:
-    """Return the name of a node, and the meshes in and below it with their pose.
+def _gltf_object(file: GltfFile, top: int) -> Assembly | None:
+    """Return the meshes in and below a node as an object; None if there are no triangles."""
+    parents, row, notes = parents_of(file), file.rows("nodes")[top], list[str]()
+    surfaces = [
+        (node, moved(surface, Z_UP @ node_matrix(file, parents, node, top)))
+        for node in nodes_below(file, [top])
+        for surface in node_surfaces(file, node, notes)
+    ]
+    merged = [
+        (node, surface._replace(vertices=vertices, faces=faces))
+        for node, surface in surfaces
+        for vertices, faces in [merged_vertices(surface.vertices, surface.faces)]
+        if len(faces)
+    ]
+    if not merged:
+        return None
+    mesh_name = file.rows("meshes")[row["mesh"]].get("name") if "mesh" in row else None
+    name = str(row.get("name") or mesh_name or f"node_{top}")
+    pose = Z_UP @ node_matrix(file, parents, top) @ Z_UP.T
+    result = mesh_object(name, [s for _, s in merged], pose, groups=[node for node, _ in merged])
+    result.mechanism.notes += dict.fromkeys(notes)
+    return result
 
-    The meshes are in the node's frame with Z up. The pose is the affine transform from this frame
-    to the world frame, shape [4, 4].
-    """
-    below = loaded.graph.transforms.successors(node)
-    meshes = []
-    for inner in (n for n in loaded.graph.nodes_geometry if n in below):
-        transform, key = loaded.graph.get(inner, frame_from=node)
-        mesh = loaded.geometry[key]
-        if hasattr(mesh, "faces"):  # Points and lines are skipped.
-            # Copy, because nodes may share a mesh, and a mirroring transform reverses its faces.
-            upright = mesh.copy().apply_transform(Z_UP @ np.asarray(transform, float))
-            vertices, faces = np.array(upright.vertices, float), np.array(upright.faces, np.int64)
-            meshes.append(merged_vertices(vertices, faces))
-    return str(node), meshes, Z_UP @ np.asarray(loaded.graph[node][0], float) @ Z_UP.T
 
-
-def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
+def _gltf_camera(file: GltfFile) -> FileCamera | None:
     """Return the first perspective camera of a glTF file.
 
     The result is None if there is no such camera, or if the transform of its node mirrors or is
-    singular. trimesh itself reads only cameras that are children of the root and state their aspect
-    ratio.
+    singular.
     """
-    nodes = document.get("nodes", [])
-    parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
-    for k, node in enumerate(nodes):
-        lens = document["cameras"][node["camera"]].get("perspective") if "camera" in node else None
+    for k, node in enumerate(file.rows("nodes")):
+        lens = file.rows("cameras")[node["camera"]].get("perspective") if "camera" in node else None
         if lens is None:
             continue
-        pose, above = TO_OPENCV, k
-        while above is not None:
-            pose, above = _local(nodes[above]) @ pose, parents.pop(above, None)
-        pose = Z_UP @ pose
+        pose = Z_UP @ node_matrix(file, parents_of(file), k) @ TO_OPENCV
         u, scales, v = np.linalg.svd(pose[:3, :3])
         if scales[-1] < 1e-9 or np.linalg.det(u @ v) < 0:
             return None
@@ -313,16 +325,3 @@ def _gltf_camera(document: dict[str, Any]) -> FileCamera | None:
         pose[:3, :3] = u @ v
         return FileCamera(pose=rows_of(pose), fovy=float(lens["yfov"]))
     return None
-
-
-def _local(node: dict[str, Any]) -> NDArray:
-    """Return the transform from a glTF node (with a matrix, or T R S) to its parent, [4, 4]."""
-    from trimesh import transformations
-
-    if "matrix" in node:
-        return np.reshape(np.asarray(node["matrix"], float), (4, 4)).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    turn = transformations.quaternion_matrix([w, x, y, z])
-    turn[:3, :3] *= np.asarray(node.get("scale", (1.0, 1.0, 1.0)), float)
-    turn[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return turn

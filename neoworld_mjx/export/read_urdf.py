@@ -1,6 +1,8 @@
 """Reads the mechanism of a URDF file with yourdfpy."""
 
+import io
 import math
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -9,21 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..spec import Box, Cylinder, JointSpec, Mimic, Site, Sphere
+from ..spec import Box, Capsule, Cylinder, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .load_mesh import inside, load_mesh, read_xml
+from .asset_files import asset_bytes, inside, read_xml
+from .load_mesh import joined, load_surfaces
 from .mechanism import (
     GRAY,
+    SLIDE_M,
     Link,
     LinkShape,
     Mechanism,
     Triangles,
     check_tree,
+    visual_shapes,
 )
+from .mesh_colors import Color, Surface, small_image
 from .write_urdf import CLEARANCE_M, original_half
 
 XACRO = "xacro"
+WORLD_LINK = re.compile(r"world([_-]?(link|base|frame))?", re.IGNORECASE)
+"""Pattern of the names of root links that stand for the world."""
+GEOMETRIES = ("box", "cylinder", "sphere", "mesh", "capsule")
 NOT_IMPORTED = {
     "transmission": "transmissions",
     "gazebo": "Gazebo's extensions",
@@ -54,22 +63,29 @@ def read_urdf(path: Path) -> Mechanism:
     _check_names(path, root)
     for mesh in root.iter("mesh"):
         inside(path, mesh.get("filename") or "")
+    notes: list[str] = []
+    capsules = _replace_unknown_shapes(root, notes)
     try:
         robot = yourdfpy.URDF.load(
-            str(path), load_meshes=False, build_collision_scene_graph=False
+            io.BytesIO(ET.tostring(root)),  # pyright: ignore[reportArgumentType] lxml reads streams
+            load_meshes=False,
+            build_collision_scene_graph=False,
         ).robot
     except Exception as error:  # yourdfpy raises errors of many types
         raise SpecError(f"{path} is not URDF: {type(error).__name__}: {error}"[:300]) from None
-    notes = [
+    notes += [
         f"{content} are not imported"
         for tag, content in NOT_IMPORTED.items()
         if root.find(f".//{tag}") is not None
     ]
-    frames = _frames(robot, check_tree(
+    base = check_tree(
         path, [link.name for link in robot.links],
         [(joint.name, joint.parent, joint.child) for joint in robot.joints],
-    ))  # fmt: skip
-    colors = {m.name: m.color.rgba for m in robot.materials if m.color is not None and m.name}
+    )  # fmt: skip
+    frames = _frames(robot, base)
+    # A material may be defined in a visual, and used in others by its name.
+    defined = [*robot.materials, *(v.material for link in robot.links for v in link.visuals)]
+    colors = {m.name: color for m in defined if m and (color := _stated_color(path, m, notes))}
     shrunk = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
     links = [
         _link(
@@ -77,13 +93,26 @@ def read_urdf(path: Path) -> Mechanism:
             link,
             frames[link.name],
             colors,
+            capsules,
             _friction(root, link.name),
             CLEARANCE_M if link.name in shrunk else 0.0,
             notes,
         )
         for link in robot.links
     ]
-    joints = [_joint(path, joint, frames[joint.child], notes) for joint in robot.joints]
+    # A file without any collider shows objects whose colliders are derived.
+    for link in links if any(link.collisions for link in robot.links) else ():
+        link.visual_only = all(shape.role == "visual" for shape in link.shapes)
+    below = [joint.type for joint in robot.joints if joint.parent == base]
+    world = next(link for link in links if link.name == base)
+    fixed = WORLD_LINK.fullmatch(base) is not None
+    free = fixed and not world.shapes and not world.mass and below == ["floating"]
+    joints = []
+    for joint in robot.joints:
+        ignored = notes if not (free and joint.parent == base) else []
+        joints.append(_joint(path, joint, frames[joint.child], ignored))
+        if joint.type == "planar":
+            links += _split_planar(joint, frames[joint.child], joints, notes)
     for mark in root.findall("neoworld/unstated"):
         unstated = {k: None for k in ("effort", "velocity") if k in mark.get("limits", "").split()}
         joints = [
@@ -91,10 +120,84 @@ def read_urdf(path: Path) -> Mechanism:
         ]
     for mark in root.findall("neoworld/ball"):
         _fold_ball(mark.get("joint") or "", links, joints, notes)
+    world.static = fixed and not free and not world.mass
     sites = _fold_frames(links, joints)
-    return Mechanism(
-        robot.name or path.stem, {link.name: link for link in links}, joints, sites, notes
+    by_name = {link.name: link for link in links}
+    name = robot.name or path.stem
+    return Mechanism(name, by_name, joints, sites, notes, fixed=fixed and not free)
+
+
+def _split_planar(
+    joint: Any, frame: NDArray, joints: list[JointSpec], notes: list[str]
+) -> list[Link]:
+    """Replace the last joint, which is planar, by two slides and a hinge, as MuJoCo does.
+
+    Returns:
+        The links between them.
+    """
+    last = joints.pop()
+    normal = frame[:3, :3] @ np.asarray(joint.axis if joint.axis is not None else (1, 0, 0), float)
+    if np.linalg.norm(normal) < 1e-9:
+        raise SpecError(f"joint {joint.name} has no axis")
+    normal /= np.linalg.norm(normal)
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    inner = [Link(f"{joint.name}_{axis}_link") for axis in "xy"]
+    ends = [last.parent, inner[0].name, inner[1].name, last.child]
+    reach = {"type": "prismatic", "lower": -SLIDE_M, "upper": SLIDE_M}
+    kinds = {"x": (first, reach), "y": (second, reach), "z": (normal, {"type": "continuous"})}
+    for k, (name, (axis, update)) in enumerate(kinds.items()):
+        update = {"parent": ends[k], "child": ends[k + 1], "axis": triple(axis), **update}
+        joints.append(last.model_copy(update={"name": f"{joint.name}_{name}", **update}))
+    notes.append(
+        f"joint {joint.name} is planar: imported as two slides of {SLIDE_M:g} m and a hinge"
     )
+    return inner
+
+
+def _replace_unknown_shapes(root: ET.Element, notes: list[str]) -> set[tuple[str, str, int]]:
+    """Replace capsules, which yourdfpy does not know, by cylinders, and remove unknown shapes.
+
+    Returns:
+        The name of the link, "visual" or "collision", and the index of each capsule.
+    """
+    capsules = set()
+    for link in root.findall("link"):
+        name = link.get("name") or ""
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                shapes = element.findall("geometry/*")
+                if len(shapes) == 1 and shapes[0].tag in GEOMETRIES:
+                    continue
+                kinds = ", ".join(shape.tag for shape in shapes) or "no shape"
+                notes.append(f"link {name}: a {tag} with {kinds} is not imported")
+                link.remove(element)
+            for k, element in enumerate(link.findall(tag)):
+                shape = element.find("geometry/capsule")
+                if shape is not None:
+                    shape.tag = "cylinder"
+                    capsules.add((name, tag, k))
+    return capsules
+
+
+def _stated_color(path: Path, material: Any, notes: list[str]) -> Color | None:
+    """Return the color of a material, or the mean color of its texture; None if it has neither."""
+    if material.color is not None:
+        red, green, blue, alpha = (float(v) for v in material.color.rgba)
+        return red, green, blue, alpha
+    if material.texture is None or not material.texture.filename:
+        return None
+    name = material.texture.filename
+    try:
+        with small_image(asset_bytes(inside(path, name)), name) as image:
+            pixel = np.asarray(image.convert("RGB"), float).reshape(-1, 3).mean(axis=0) / 255
+    except SpecError as error:
+        notes.append(f"a texture is not imported: {error}"[:200])
+        return None
+    notes.append(f"texture {name} is replaced by its mean color")
+    red, green, blue = (float(v) for v in pixel)
+    return red, green, blue, 1.0
 
 
 def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
@@ -200,19 +303,33 @@ def _link(
     path: Path,
     link: Any,
     frame: NDArray,
-    colors: dict[str, Any],
+    colors: dict[str, Color],
+    capsules: set[tuple[str, str, int]],
     friction: float,
     clearance: float,
     notes: list[str],
 ) -> Link:
     result = Link(link.name)
-    for item in link.visuals:
-        rgba = _color(item.material, colors)
-        for shape, pose in _shapes(path, item, link.name, frame, 0.0, notes):
-            result.shapes.append(LinkShape(shape, pose, "visual", rgba))
-    for item in link.collisions:
-        for shape, pose in _shapes(path, item, link.name, frame, clearance, notes):
-            result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
+    for k, item in enumerate(link.visuals):
+        name = None if item.material is None else item.material.name
+        stated = None if item.material is None else _stated_color(path, item.material, [])
+        rgba = stated or colors.get(str(name))
+        capsule = (link.name, "visual", k) in capsules
+        if item.geometry.mesh is not None:
+            looks: list[str] = []
+            surfaces, pose = _surfaces(path, item, frame, looks)
+            result.shapes += visual_shapes(surfaces, pose, [k] * len(surfaces), rgba)
+            notes += [] if rgba else [f"link {link.name}: {note}" for note in dict.fromkeys(looks)]
+        else:
+            shape, pose = _primitive(path, item, link.name, frame, 0.0, capsule=capsule)
+            result.shapes.append(LinkShape(shape, pose, "visual", rgba or GRAY))
+    for k, item in enumerate(link.collisions):
+        if item.geometry.mesh is not None:
+            shape, pose = _collider(path, item, frame, clearance)
+        else:
+            capsule = (link.name, "collision", k) in capsules
+            shape, pose = _primitive(path, item, link.name, frame, clearance, capsule=capsule)
+        result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
     inertial = link.inertial
     if inertial is not None and inertial.mass is not None:
         pose = frame if inertial.origin is None else frame @ inertial.origin
@@ -223,22 +340,12 @@ def _link(
     return result
 
 
-def _color(material: Any, colors: dict[str, Any]) -> tuple[float, float, float, float]:
-    rgba = None
-    if material is not None:
-        rgba = material.color.rgba if material.color is not None else colors.get(material.name)
-    if rgba is None:
-        return GRAY
-    red, green, blue, alpha = (float(v) for v in rgba)
-    return red, green, blue, alpha
+def _primitive(
+    path: Path, item: Any, link: str, frame: NDArray, clearance: float, *, capsule: bool
+) -> tuple[BaseShape, NDArray]:
+    """Return the shape of a visual or a collision, and its pose in the root frame.
 
-
-def _shapes(
-    path: Path, item: Any, link: str, frame: NDArray, clearance: float, notes: list[str]
-) -> list[tuple[BaseShape | Triangles, NDArray]]:
-    """Return the shapes of a visual or a collision, and their poses in the root frame.
-
-    If `clearance` is not 0, the shapes are enlarged to the size before `write_urdf` shrank them.
+    If `clearance` is not 0, the shape is enlarged to the size before `write_urdf` shrank it.
     """
     pose = frame if item.origin is None else frame @ item.origin
     geometry = item.geometry
@@ -250,39 +357,61 @@ def _shapes(
     try:
         if geometry.box is not None:
             x, y, z = (original(v) for v in geometry.box.size)
-            return [(Box(size=(x, y, z)), pose)]
+            return Box(size=(x, y, z)), pose
         if geometry.sphere is not None:
-            return [(Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), pose)]
-        if geometry.cylinder is not None:
-            radius = original(2 * float(geometry.cylinder.radius)) / 2
-            height = original(geometry.cylinder.length)
-            return [(Cylinder(radius=radius, height=height), pose)]
-    except ValueError:
+            return Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), pose
+        radius = original(2 * float(geometry.cylinder.radius)) / 2
+        if capsule:
+            return Capsule(radius=radius, length=float(geometry.cylinder.length)), pose
+        return Cylinder(radius=radius, height=original(geometry.cylinder.length)), pose
+    except (ValueError, TypeError):
         raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
-    if geometry.mesh is None:
-        notes.append(f"link {link}: a geometry other than box, sphere, cylinder or mesh is skipped")
-        return []
-    stated = geometry.mesh.scale
-    scale = np.ones(3) if stated is None else np.asarray(stated, float)
-    vertices, faces = load_mesh(inside(path, geometry.mesh.filename))
-    if clearance:
+
+
+def _surfaces(
+    path: Path, item: Any, frame: NDArray, notes: list[str]
+) -> tuple[list[Surface], NDArray]:
+    """Return the surfaces of a mesh, scaled, and their pose in the root frame."""
+    mesh, pose = item.geometry.mesh, frame if item.origin is None else frame @ item.origin
+    scale = np.ones(3) if mesh.scale is None else np.ones(3) * np.asarray(mesh.scale, float)
+    turn = 1 if np.prod(scale) > 0 else -1
+    return [
+        surface._replace(vertices=surface.vertices * scale, faces=surface.faces[:, ::turn])
+        for surface in load_surfaces(inside(path, mesh.filename), notes)
+    ], pose
+
+
+def _collider(path: Path, item: Any, frame: NDArray, clearance: float) -> tuple[Triangles, NDArray]:
+    """Return the mesh of a collision, and its pose in the root frame.
+
+    If `clearance` is not 0, the mesh has the size before `write_urdf` shrank it about its middle.
+    """
+    surfaces, pose = _surfaces(path, item, frame, [])
+    vertices, faces = joined(surfaces)
+    if clearance and item.geometry.mesh.scale is not None:
+        scale = np.ones(3) * np.asarray(item.geometry.mesh.scale, float)
+        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 / scale
         shift = np.eye(4)
-        shift[:3, 3] = -(vertices.min(axis=0) + vertices.max(axis=0)) / 2 * (1 - scale)
-        return [((vertices, faces), pose @ shift)]
-    return [((vertices * scale, faces if np.prod(scale) > 0 else faces[:, ::-1]), pose)]
+        shift[:3, 3] = -middle * (1 - scale)
+        return (vertices / scale, faces), pose @ shift
+    return (vertices, faces), pose
 
 
 def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpec:
     kind, limit, dynamics, mimic = joint.type, joint.limit, joint.dynamics, joint.mimic
     lower = upper = 0.0
     if kind not in ("fixed", "revolute", "continuous", "prismatic"):
-        notes.append(f"joint {joint.name} is {kind}: imported as fixed")
+        if kind != "planar":
+            notes.append(f"joint {joint.name} is {kind}: imported as fixed")
         kind = "fixed"
     if kind in ("revolute", "prismatic"):
         if limit is not None and limit.lower is not None and limit.upper is not None:
             lower, upper = float(limit.lower), float(limit.upper)
         elif kind == "prismatic":
-            raise SpecError(f"{path}: joint {joint.name} is prismatic and has no limits")
+            lower, upper = -SLIDE_M, SLIDE_M
+            notes.append(
+                f"joint {joint.name} slides without limits: here from {lower:g} to {upper:g} m"
+            )
         else:
             notes.append(f"joint {joint.name} has no limits: imported as continuous")
             kind = "continuous"

@@ -7,6 +7,7 @@
         request.json    key, role and name of the request
         response.json   the response, which the person or program writes
         error.md        the reason why the last response was rejected
+        waiting.md      exists while a run waits for the response
         response.rejected-1.json    a rejected response
 
 Several requests can wait at the same time. A resumed run finds the folder of a request by the
@@ -49,6 +50,9 @@ PACKAGE = __name__.partition(".")[0]
 """Name of the package and of its logger."""
 POLL_S = 0.2
 """Interval at which the folders are polled [s]."""
+WAITING, ERROR = "waiting.md", "error.md"
+PICTURES, RESPONSE = "\n\n## Pictures\n\n", "\n\n## Response\n\n"
+"""Headings of prompt.md; the first one ends the instructions, and the second the request."""
 UNCHANGED_S = 3.0
 """Age of a file from which on incomplete JSON in it is rejected [s]."""
 
@@ -92,11 +96,15 @@ class Mailbox:
             # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 folder = await asyncio.to_thread(self._folder_of, request)
+            write_inside(self._folder, f"{folder.name}/{WAITING}", "A run waits for a response.\n")
             if not (folder / "response.json").exists():
                 _announce(
                     f"mailbox: {request.name} ({request.role}) waits for {folder / 'response.json'}"
                 )
-            text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
+            try:
+                text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
+            finally:
+                (folder / WAITING).unlink(missing_ok=True)
         except TimeoutError:
             raise ModelError(
                 f"{request.name}: no valid response.json in {self._folder} within "
@@ -161,7 +169,7 @@ class Mailbox:
                     if unchanged or is_json(text):
                         self._reject(folder, str(error))
                 else:
-                    (folder / "error.md").unlink(missing_ok=True)
+                    (folder / ERROR).unlink(missing_ok=True)
                     return text
             await asyncio.sleep(POLL_S)
 
@@ -171,7 +179,7 @@ class Mailbox:
         (folder / "response.json").rename(folder / rejected_name)
         write_inside(
             self._folder,
-            f"{folder.name}/error.md",
+            f"{folder.name}/{ERROR}",
             f"# Response {count} was rejected\n\n{reason}\n\n"
             f"It was moved to {rejected_name}. "
             "Write a corrected response.json that fits schema.json.\n",
@@ -190,9 +198,14 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
         f"- {name}: {picture.label} ({picture.size[0]} x {picture.size[1]} px)"
         for name, picture in zip(files, request.pictures, strict=True)
     )
+    previewed = (
+        " Before that, `neoworld preview draft.json` draws the 3D boxes of a response on the "
+        "photograph and lists what the checks find; draft.json must be in this folder."
+    )
     return (
-        f"# {request.name} ({request.role})\n\n{request.system}\n\n"
-        f"## Pictures\n\n{pictures or 'none'}\n\n## Request\n\n{request.prompt}\n\n"
-        f"## Response\n\nWrite one JSON object that fits schema.json to response.json in this "
-        f"folder. If it does not fit, error.md says why and the run waits again.\n"
+        f"# {request.name} ({request.role})\n\n{request.system}"
+        f"{PICTURES}{pictures or 'none'}\n\n## Request\n\n{request.prompt}"
+        f"{RESPONSE}Write one JSON object that fits schema.json to response.json in this "
+        f"folder. If it does not fit, error.md says why and the run waits again."
+        f"{previewed if request.role == 'reasoner' else ''}\n"
     )

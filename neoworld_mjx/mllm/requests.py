@@ -117,6 +117,14 @@ class Picture:
         """Width and height in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]
 
+    def bounded(self, max_bytes: int) -> tuple[str, bytes]:
+        """Return MIME type and content of the file; a larger file becomes a JPEG."""
+        if len(self.data) <= max_bytes:
+            return self.media_type, self.data
+        buffer = io.BytesIO()
+        Image.fromarray(self.rgb).save(buffer, "JPEG", quality=90)
+        return "image/jpeg", buffer.getvalue()
+
     @property
     def pixels(self) -> str:
         """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""
@@ -165,6 +173,11 @@ class Request(Generic[T]):
         for name, title in titles.items():
             text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
         return json.loads(text)
+
+    @cached_property
+    def schema_text(self) -> str:
+        """The schema as short JSON without titles, which repeat the names of classes and fields."""
+        return json.dumps(without_titles(self.json_schema), separators=(",", ":"), sort_keys=True)
 
     @cached_property
     def parts(self) -> dict[str, str]:
@@ -288,8 +301,21 @@ class Provider(Protocol):
 
 def response_rule(request: Request[Any]) -> str:
     """Return instructions with the JSON schema, for servers that do not enforce a schema."""
-    schema = json.dumps(request.json_schema, sort_keys=True)
-    return f"Give one JSON object and nothing else; it must fit this JSON schema:\n{schema}"
+    rule = "Give one JSON object and nothing else; it must fit this JSON schema:"
+    return f"{rule}\n{request.schema_text}"
+
+
+def without_titles(schema: Any) -> Any:
+    """Return a JSON schema without the titles of its objects and fields."""
+    if isinstance(schema, list):
+        return [without_titles(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {
+        key: without_titles(value)
+        for key, value in schema.items()
+        if key != "title" or not isinstance(value, str)
+    }
 
 
 async def ask_or_record(

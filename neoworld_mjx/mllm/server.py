@@ -6,14 +6,12 @@ bodies, errors that name a remedy, and the schema in words where the server reje
 
 import asyncio
 import base64
-import io
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Sequence
 from typing import Any, ClassVar
 
 import anthropic
 import httpx2
-from PIL import Image
 
 from ..config import MLLMOptions, RoleOptions
 from ..errors import ModelError
@@ -25,6 +23,10 @@ from .requests import MAX_BODY_BYTES, Picture, Rejection, Reply, Request, respon
 RETRIES = 4
 """Maximum number of retries of a call after transient errors: rate limits, overload, lost
 connections. The SDKs wait between 0.5 and 8 s before a retry, or as long as the server asks."""
+CACHE_S = 4.0
+"""Time by which the first of several requests with the same instructions precedes the others [s].
+A server's prompt cache contains the instructions only when it begins to respond to a request that
+contains them; until then, each request would be billed for writing them."""
 CONNECT_S = 10.0
 """Maximum time to connect to a server [s]."""
 _MAX_PICTURE_BYTES = 3_500_000
@@ -61,6 +63,8 @@ class ServerProvider(ABC):
         self._client: Any = None
         self._rejected_schemas: set[tuple[str, str]] = set()
         """Model and digest of each schema that the server rejected."""
+        self._cached: dict[tuple[str, str, str], asyncio.Event] = {}
+        """For each model, instructions and schema, whether the server's cache contains them."""
 
     @abstractmethod
     def _new_client(self) -> Any:
@@ -86,6 +90,22 @@ class ServerProvider(ABC):
         """
         if self._client is None:
             self._client = self._new_client()
+        prefix = (role.model, request.parts["system"], request.parts["schema"])
+        cached = self._cached.get(prefix)
+        if cached is not None:
+            await cached.wait()
+            return await self._reply(request, role, rejected)
+        cached = self._cached[prefix] = asyncio.Event()
+        timer = asyncio.get_running_loop().call_later(CACHE_S, cached.set)
+        try:
+            return await self._reply(request, role, rejected)
+        finally:
+            timer.cancel()
+            cached.set()
+
+    async def _reply(
+        self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
+    ) -> Reply:
         schema = (role.model, request.parts["schema"])
         while True:
             enforced = schema not in self._rejected_schemas
@@ -179,11 +199,7 @@ def client_arguments(provider: ServerProvider, sdk: Any) -> dict[str, Any]:
 
 def encoded(picture: Picture) -> tuple[str, str]:
     """Return a picture's media type and base64 text; a file that is too large becomes a JPEG."""
-    data, media_type = picture.data, picture.media_type
-    if len(data) > _MAX_PICTURE_BYTES:
-        buffer, media_type = io.BytesIO(), "image/jpeg"
-        Image.fromarray(picture.rgb).save(buffer, "JPEG", quality=90)
-        data = buffer.getvalue()
+    media_type, data = picture.bounded(_MAX_PICTURE_BYTES)
     return media_type, base64.b64encode(data).decode()
 
 

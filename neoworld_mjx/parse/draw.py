@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from ..estimate.projection import edges_in_view
+from ..estimate.projection import NEAR_M, edges_in_view
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from .photo import Photo
@@ -36,18 +36,19 @@ Region = tuple[int, int, int, int]
 def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) -> Picture:
     """Draw a parsed scene on the resized picture.
 
-    Objects on the same support share a color. Boxes of partly hidden objects are dashed. Boxes of
-    environment supports are thin and gray.
+    Objects on the same support share a color; with 3D boxes, neighbors in the list differ in color.
+    Boxes of partly hidden objects are dashed. Boxes of environment supports are thin and gray.
 
     Args:
         photo: the photograph.
         tree: the parsed scene, in pixels of the original photo.
-        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes. Their pixels depend
-            on the rounding of the machine, so no request contains such a picture.
+        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes, and a line from the
+            center of each base to the object's front. Their pixels depend on the rounding of the
+            machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
     height, width = canvas.shape[:2]
-    colours = _colours(tree)
+    colours = _colours(tree, by_support=not draw_3d_boxes)
     glyph = 1 if max(width, height) < 900 else 2
     line = max(2, round(max(width, height) / 400))
     if draw_3d_boxes:
@@ -60,17 +61,20 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
         _frame(canvas, boxes[node.name], colours[node.name], thickness, dashed=node.occluded)
     tags: list[Region] = []
     for node in reversed(order):
-        tag = _tag(node.name, glyph)
+        tag = name_tag(node.name, glyph)
         corner = _place(tag.shape, boxes[node.name], (width, height), tags, boxes.values())
-        _stamp(canvas, tag, corner, colours[node.name])
+        stamp(canvas, tag, corner, colours[node.name])
         tags.append((corner[0], corner[1], corner[0] + tag.shape[1], corner[1] + tag.shape[0]))
     return Picture.of("parse", canvas)
 
 
-def _colours(tree: SceneTree) -> dict[str, tuple[int, int, int]]:
-    supports = list(dict.fromkeys(node.parent for node in tree.nodes if not node.environment))
+def _colours(tree: SceneTree, *, by_support: bool) -> dict[str, tuple[int, int, int]]:
+    groups = {node.name: node.parent if by_support else node.name for node in tree.nodes}
+    order = list(dict.fromkeys(groups[node.name] for node in tree.nodes if not node.environment))
     return {
-        node.name: GREY if node.environment else COLOURS[supports.index(node.parent) % len(COLOURS)]
+        node.name: GREY
+        if node.environment
+        else COLOURS[order.index(groups[node.name]) % len(COLOURS)]
         for node in tree.nodes
     }
 
@@ -122,7 +126,7 @@ def _dashes(length: int, thickness: int, dashed: bool) -> Bool[np.ndarray, " len
 
 
 @cache
-def _tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
+def name_tag(name: str, glyph: int) -> Bool[np.ndarray, "h w"]:
     """Return the mask of a name in the bitmap font, with a margin, magnified by `glyph`."""
     font = ImageFont.load_default_imagefont()
     left, top, right, bottom = font.getbbox(name)
@@ -154,7 +158,7 @@ def _place(
         region = (x, y, x + width, y + height)
         shift = abs(x - position[0]) + abs(y - position[1])
         return (
-            sum(_overlap(region, other) for other in tags),
+            sum(overlap(region, other) for other in tags),
             sum(_crosses(region, other) for other in frames),
             shift,
         )
@@ -170,26 +174,61 @@ def _inside(
     return x, y
 
 
-def _overlap(a: Region, b: Region) -> int:
+def overlap(a: Region, b: Region) -> int:
+    """Return the number of pixels that two regions share."""
     return max(0, min(a[2], b[2]) - max(a[0], b[0])) * max(0, min(a[3], b[3]) - max(a[1], b[1]))
 
 
 def _crosses(tag: Region, frame: Region) -> bool:
     within = tag[0] >= frame[0] and tag[1] >= frame[1] and tag[2] <= frame[2] and tag[3] <= frame[3]
-    return _overlap(tag, frame) > 0 and not within
+    return overlap(tag, frame) > 0 and not within
 
 
-def _stamp(
+def stamp(
     canvas: UInt8[np.ndarray, "h w 3"],
     tag: Bool[np.ndarray, "th tw"],
     at: tuple[int, int],
     colour: tuple[int, int, int],
 ) -> None:
+    """Draw a tag, black on a color, with its upper left corner at a pixel."""
     x, y = at
     under = canvas[y : y + tag.shape[0], x : x + tag.shape[1]]
     mask = tag[: under.shape[0], : under.shape[1]]
     under[~mask] = colour
     under[mask] = 0
+
+
+def draw_region(
+    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 900
+) -> Picture:
+    """Enlarge a region of a picture, with rulers whose numbers are pixels of the whole picture.
+
+    Args:
+        picture: the picture.
+        box: left, top, right and bottom of the region [px]; it is clipped at the picture's edges.
+        shown_px: approximate length of the longer side of the result [px].
+    """
+    width, height = picture.size
+    left, right = sorted(min(max(round(value), 0), width) for value in box[::2])
+    top, bottom = sorted(min(max(round(value), 0), height) for value in box[1::2])
+    left, top = min(left, width - 2), min(top, height - 2)
+    right, bottom = max(right, left + 2), max(bottom, top + 2)
+    factor = max(1, shown_px // max(right - left, bottom - top))
+    region = Image.fromarray(picture.rgb[top:bottom, left:right])
+    size = region.width * factor, region.height * factor
+    canvas = np.array(region.resize(size, Image.Resampling.BICUBIC))
+    step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if s * factor >= 40)
+    for axis, (low, high) in enumerate(((left, right), (top, bottom))):
+        for value in range(-(-low // step) * step, high, step):
+            at, tag = (value - low) * factor, name_tag(str(value), 1)
+            spots = (slice(0, 8), at) if axis == 0 else (at, slice(0, 8))
+            canvas[spots] = COLOURS[0]
+            corner = (at + 2, 0) if axis == 0 else (8, max(at - tag.shape[0] // 2, 0))
+            covers = axis == 0 and at < 30  # The numbers of the left ruler are there.
+            inside = corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]
+            if inside and not covers:
+                stamp(canvas, tag, corner, COLOURS[3])
+    return Picture.of("zoom", canvas)
 
 
 def _edges(
@@ -205,4 +244,11 @@ def _edges(
         for start, end in edges_in_view(tree.camera, node.box3d.corners(node.base_tilt)):
             ends = [tuple((point * scale).tolist()) for point in (start, end)]
             draw.line(ends, fill=colours[node.name], width=1)
+        if not node.environment:  # A thicker line leads from the center of the base to the front.
+            corners = node.box3d.corners(node.base_tilt)
+            ends = np.array([corners[::2].mean(axis=0), corners[4::2].mean(axis=0)])
+            pixels, depth = tree.camera.project(ends)
+            if depth.min() > NEAR_M:
+                line = [tuple(point) for point in (pixels * scale).tolist()]
+                draw.line(line, fill=colours[node.name], width=3)
     return np.array(image)

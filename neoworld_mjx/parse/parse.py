@@ -25,11 +25,13 @@ from ..estimate.image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from ..estimate.priors import is_slab
 from ..estimate.projection import outline_of
 from ..estimate.tree_checks import SceneIssue, check_score, check_tree
+from ..evidence.depth_image import DepthImage
 from ..evidence.known_camera import KnownCamera, with_known_camera
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
 from .draw import draw_parse
+from .draw_measured import draw_measured
 from .object_schema import error_line
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
@@ -237,6 +239,7 @@ async def parse(
     options: ParseOptions | None = None,
     *,
     known: KnownCamera | None = None,
+    depth: DepthImage | None = None,
 ) -> Parsed:
     """Parse a photograph into a scene tree.
 
@@ -246,6 +249,7 @@ async def parse(
         options: number of rounds, and whether to fit.
         known: what is known of the camera. Its values replace those of a response, whose objects
             keep their pixels.
+        depth: a depth image of the photograph's view, which models are shown if it is metric.
 
     Raises:
         ModelError: the first request failed, or no response gave a tree.
@@ -253,8 +257,9 @@ async def parse(
     options = options or ParseOptions()
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
-    response = (await models.ask(parse_request(photo, known))).value
-    attempt = await _fit_and_check(photo, response, options, known)
+    measured = draw_measured(photo, known, depth)
+    response = (await models.ask(parse_request(photo, known, measured))).value
+    attempt = await fit_and_check(photo, response, options, known)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
             # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
@@ -266,7 +271,7 @@ async def parse(
         attempts.append(attempt)
         if not remaining or not attempt.corrections:
             break
-        request = correction_request(photo, attempt.response, attempt.corrections, known)
+        request = correction_request(photo, attempt.response, attempt.corrections, known, measured)
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:
             break
@@ -278,7 +283,7 @@ async def parse(
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await _fit_and_check(photo, response, options, known, already_asked=asked)
+        attempt = await fit_and_check(photo, response, options, known, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:
@@ -287,7 +292,7 @@ async def parse(
     return Parsed(tree, response_tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
 
 
-async def _fit_and_check(
+async def fit_and_check(
     photo: Photo,
     response: ParsedScene,
     options: ParseOptions,

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture, Request, package_text
+from .draw_measured import STEP_M, TOLD_SD, MeasuredPicture
 from .photo import Photo
 from .schema import ParsedScene, SceneCorrection
 
@@ -19,8 +20,19 @@ KNOWN_CAMERA = (
     "\n\nThe camera was measured: {values}. Give these numbers, call them measured, and find the "
     "others, the positions and the sizes that go with them."
 )
-TOLD_SD = 0.01
-"""Largest standard deviation of a focal length, relative to it, of which models are told."""
+MEASURED_PICTURE = (
+    "\n\nThe second picture is the same photograph with measurements drawn on it. Read numbers "
+    "from it, and boxes and colors from the first."
+)
+GROUND_GRID = (
+    " Its lines are the plane z = 0, every {step:.0f} cm, bold every meter; their labels are x "
+    "(ahead) and y (to the left) in meters. They are drawn over everything: read the position of "
+    "an object where it touches z = 0, not where lines cross its body."
+)
+MEASURED_DEPTHS = (
+    " Each number on white is the measured depth at the dot to its left, in meters along the view: "
+    "what appears s pixels wide there at depth d is s * d / f wide."
+)
 REPAIR_PROMPT = (
     "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
     "checked for consistency. These faults were found; look at the photograph again for each of "
@@ -79,23 +91,44 @@ class SceneCritique(BaseModel):
         return min(self.boxes, self.completeness, self.hierarchy)
 
 
-def parse_request(photo: Photo, known: KnownCamera | None = None) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo whose camera may be known."""
+def parse_request(
+    photo: Photo, known: KnownCamera | None = None, measured: MeasuredPicture | None = None
+) -> Request[ParsedScene]:
+    """Return the request for the scene in a photo.
+
+    Args:
+        photo: the photograph.
+        known: what is known of the camera.
+        measured: the photograph with measurements, if there are any.
+    """
     return Request(
         role="reasoner",
         name="parse",
         system=package_text(__package__, "reasoner"),
-        prompt=_request_prompt(photo, known),
+        prompt=_request_prompt(photo, known, measured),
         schema=ParsedScene,
-        pictures=[Picture.of("photo", photo.rgb)],
+        pictures=_pictures(photo, measured),
     )
 
 
-def _request_prompt(photo: Photo, known: KnownCamera | None) -> str:
+def _request_prompt(
+    photo: Photo, known: KnownCamera | None, measured: MeasuredPicture | None
+) -> str:
     width, height = photo.size
     prompt = REQUEST_PROMPT.format(width=width, height=height)
     values = [] if known is None else _known_values(known)
-    return prompt + KNOWN_CAMERA.format(values=", ".join(values)) if values else prompt
+    if values:
+        prompt += KNOWN_CAMERA.format(values=", ".join(values))
+    if measured is not None:
+        prompt += MEASURED_PICTURE
+        prompt += GROUND_GRID.format(step=100 * STEP_M) if measured.grid else ""
+        prompt += MEASURED_DEPTHS if measured.depths else ""
+    return prompt
+
+
+def _pictures(photo: Photo, measured: MeasuredPicture | None) -> list[Picture]:
+    pictures = [Picture.of("photo", photo.rgb)]
+    return pictures if measured is None else [*pictures, measured.picture]
 
 
 def _known_values(known: KnownCamera) -> list[str]:
@@ -117,6 +150,7 @@ def correction_request(
     response: ParsedScene,
     findings: Sequence[str],
     known: KnownCamera | None = None,
+    measured: MeasuredPicture | None = None,
 ) -> Request[SceneCorrection]:
     """Return the request for the correction of a response.
 
@@ -125,9 +159,10 @@ def correction_request(
         response: the response to correct.
         findings: faults of the response, each as one line.
         known: what is known of the camera.
+        measured: the photograph with measurements, if there are any.
     """
     prompt = REPAIR_PROMPT.format(
-        ask=_request_prompt(photo, known),
+        ask=_request_prompt(photo, known, measured),
         response=response.model_dump_json(indent=1),
         findings="\n".join(f"- {line}" for line in findings),
     )
@@ -137,7 +172,7 @@ def correction_request(
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
         schema=SceneCorrection,
-        pictures=[Picture.of("photo", photo.rgb)],
+        pictures=_pictures(photo, measured),
     )
 
 

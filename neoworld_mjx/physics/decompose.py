@@ -2,11 +2,13 @@
 
 import hashlib
 import importlib.util
-import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,8 @@ from ..errors import RunError
 from ..io import file_bounds, read_arrays
 from ..io.files import write_atomic
 from ..io.limited_worker import call_limited
+from ..quantities import count
 
-_log = logging.getLogger(__name__)
 CLOSED_LIMITS, OPEN_LIMITS = (0.03, 96), (0.08, 16)
 """Concavity threshold, relative to the mesh's size, and largest number of pieces, of closed meshes
 and of open meshes. An open mesh is first split into connected components. CoACD wraps the open
@@ -30,7 +32,7 @@ MAX_HOLE_AREA = 0.05
 """Largest area of the holes that are filled, relative to the mesh's area. Larger holes are kept,
 such as the opening of a drawer."""
 MAX_CORNERS = 48
-CACHE_VERSION = "5"
+CACHE_VERSION = "6"
 SHEET_M = 0.002
 """Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
@@ -42,30 +44,62 @@ def coacd_installed() -> bool:
     return importlib.util.find_spec("coacd") is not None
 
 
-def decomposition_deadline() -> float:
-    """Return the value of `time.monotonic` until which the meshes of an asset may be split."""
-    return time.monotonic() + file_bounds().decompose_s
+@dataclass
+class Budget:
+    """Time in which the meshes of an asset may be decomposed.
+
+    A mesh may use a quarter of the time that is left or, if there are fewer than four, its equal
+    share, so a mesh that takes too long leaves time to the others.
+    """
+
+    meshes: int
+    """Number of meshes that are not decomposed yet."""
+    left_s: float
+    """Time for these meshes [s]."""
+
+    @classmethod
+    def of(cls, meshes: int) -> "Budget":
+        """Return the budget of a number of meshes, `files.decompose_s`."""
+        return cls(meshes, file_bounds().decompose_s)
+
+    @contextmanager
+    def share(self) -> Iterator[float]:
+        """Yield the time for the next mesh [s]; what it does not need is left to the others."""
+        share, start = self.left_s / max(min(self.meshes, 4), 1), time.monotonic()
+        yield share
+        self.meshes -= 1
+        # Processor time is limited, so a mesh may take longer on a busy machine.
+        self.left_s -= min(time.monotonic() - start, share)
 
 
-def convex_pieces(
-    vertices: NDArray, faces: NDArray, deadline: float | None = None
-) -> list[NDArray]:
-    """Split a mesh into convex pieces, and return the points of each piece [m], shape [n, 3].
+class Decomposition(NamedTuple):
+    """Convex pieces of a mesh, and where they come from."""
+
+    pieces: list[NDArray]
+    """Points of each piece [m], each of shape [n, 3]."""
+    method: str | None = None
+    """How the pieces approximate the mesh, in words; None if the mesh itself is flat or convex."""
+
+
+def convex_pieces(vertices: NDArray, faces: NDArray, time_s: float | None = None) -> Decomposition:
+    """Split a mesh, whose closed components face outwards, into convex pieces.
 
     The convex hull of the mesh is the only piece if
 
     - the mesh is flat or convex, or
-    - CoACD is not installed, fails, needs more than `files.memory_mib`, or exceeds `deadline`.
+    - CoACD is not installed, fails, or needs more than `files.memory_mib` or `time_s`.
 
     Args:
         vertices: vertices of the mesh [m], shape [v, 3].
         faces: triangles of the mesh, shape [f, 3].
-        deadline: value of `time.monotonic`; if None, that of `decomposition_deadline`.
+        time_s: limit of the time [s]; if None, `files.decompose_s`.
     """
     vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces, np.int64)
     hull_only = [hull_points(vertices)]
-    if is_flat(vertices) or is_convex(vertices, faces) or not coacd_installed():
-        return hull_only
+    if is_flat(vertices) or is_convex(vertices, faces):
+        return Decomposition(hull_only)
+    if not coacd_installed():
+        return Decomposition(hull_only, "its convex hull, as CoACD is not installed")
     key = hashlib.sha256()
     for value in (f"{CACHE_VERSION}:{CLOSED_LIMITS}:{OPEN_LIMITS}:{MAX_CORNERS}", vertices, faces):
         key.update(value.encode() if isinstance(value, str) else value.tobytes())
@@ -73,26 +107,102 @@ def convex_pieces(
     try:
         stored = [np.asarray(p, float) for p in read_arrays(path, RunError).values()]
         if stored and all(_is_piece(points) for points in stored):
-            return stored
+            return Decomposition(stored, _by_coacd(stored))
     except (RunError, TypeError, ValueError):
         pass  # A missing or invalid entry is recomputed.
-    remaining_s = (decomposition_deadline() if deadline is None else deadline) - time.monotonic()
+    limit_s = file_bounds().decompose_s if time_s is None else time_s
     try:
-        if remaining_s <= 0:
-            raise RunError(f"files.decompose_s of {file_bounds().decompose_s:g} s is exceeded")
         mesh = Path(f"a mesh of {len(faces)} faces")
         pieces = call_limited(
             *(_coacd, mesh, vertices, faces),
             error=RunError,
             time_option="decompose_s",
-            timeout_s=remaining_s,
+            timeout_s=limit_s,
         )
     except RunError as error:
-        _log.warning("no convex decomposition (%s); the mesh becomes its convex hull", error)
-        return hull_only
+        return Decomposition(hull_only, f"its convex hull, as CoACD fails ({error})")
     pieces = pieces or hull_only
     _store(path, pieces)
-    return pieces
+    return Decomposition(pieces, _by_coacd(pieces))
+
+
+def _by_coacd(pieces: list[NDArray]) -> str:
+    return f"{count(len(pieces), 'convex piece')} by CoACD"
+
+
+def outward(vertices: NDArray, faces: NDArray) -> NDArray:
+    """Return the triangles of a mesh, turned so that its closed components face outwards.
+
+    A component inside another keeps its orientation relative to the other, as it may be a cavity.
+    Open components are not changed, because they have no inside.
+
+    Args:
+        vertices: vertices of the mesh [m], shape [v, 3].
+        faces: triangles of the mesh, shape [f, 3].
+
+    Returns:
+        The triangles in the same order, shape [f, 3].
+    """
+    import trimesh
+
+    mesh = _merge_vertices(vertices, faces)
+    if len(mesh.faces) != len(faces):
+        return faces
+    pairs, edges = mesh.face_adjacency, mesh.face_adjacency_edges
+    labels = trimesh.graph.connected_component_labels(pairs, node_count=len(faces))
+    number = int(labels.max()) + 1
+    # Each edge of a closed component belongs to two triangles.
+    closed = 2 * np.bincount(labels[pairs[:, 0]], minlength=number) == 3 * np.bincount(labels)
+    sign = _consistent_signs(mesh.faces, pairs, edges)
+    corners = mesh.vertices[mesh.faces] - mesh.vertices.mean(axis=0)
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) * sign
+    inverted = np.bincount(labels, volumes) < 0
+    rows = mesh.vertices[mesh.faces].reshape(-1, 3)
+    low, high = np.full((number, 3), np.inf), np.full((number, 3), -np.inf)
+    np.minimum.at(low, np.repeat(labels, 3), rows)
+    np.maximum.at(high, np.repeat(labels, 3), rows)
+    turned = closed & inverted
+    for k in np.argsort(-np.prod(high - low, axis=1)):  # Outer components come first.
+        around = np.all((low < low[k]) & (high > high[k]), axis=1) & closed
+        if around.any() and closed[k]:
+            outer = np.flatnonzero(around)[np.argmin(np.prod((high - low)[around], axis=1))]
+            turned[k] = turned[outer]
+    flip = ((sign < 0) ^ turned[labels]) & closed[labels]
+    return np.where(flip[:, None], np.asarray(faces)[:, ::-1], faces)
+
+
+def _consistent_signs(faces: NDArray, pairs: NDArray, edges: NDArray) -> NDArray:
+    """Return 1 or -1 for each triangle, so that signed neighbors have the same orientation, [f].
+
+    Args:
+        faces: triangles, shape [f, 3].
+        pairs: adjacent triangles, shape [n, 2].
+        edges: vertices of the edge of each pair, shape [n, 2].
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order
+
+    def forward(side: int) -> NDArray:
+        own = faces[pairs[:, side]]
+        return np.any((own == edges[:, :1]) & (np.roll(own, -1, axis=1) == edges[:, 1:]), axis=1)
+
+    sign = np.ones(len(faces), int)
+    same = forward(0) != forward(1)
+    if same.all():
+        return sign
+    relation = np.where(same, 1, -1)
+    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
+    graph = coo_matrix((np.tile(relation, 2), (rows, columns)), (len(faces),) * 2).tocsr()
+    left = np.ones(len(faces), bool)
+    while left.any():
+        start = int(np.argmax(left))
+        order, before = breadth_first_order(abs(graph), start, directed=False)
+        for face in order[1:]:
+            sign[face] = sign[before[face]] * graph[face, before[face]]
+        # The first triangle of a component keeps its orientation only if most others do.
+        sign[order] *= 1 if sign[order].sum() >= 0 else -1
+        left[order] = False
+    return sign
 
 
 def _is_piece(points: NDArray) -> bool:
@@ -207,8 +317,9 @@ def _pieces(mesh: Any, relative: float, share: float) -> list[NDArray]:
     """
     import coacd
 
-    # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size.
-    closed = bool(mesh.is_watertight)
+    # Closed meshes need no wrapping, which thickens walls by a fiftieth of the size. Without
+    # wrapping, CoACD does not end if the triangles of a mesh face inwards.
+    closed = bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     concavity, max_pieces = CLOSED_LIMITS if closed else OPEN_LIMITS
     concavity, max_pieces = concavity * relative, round(max_pieces * share)

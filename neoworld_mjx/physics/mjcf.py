@@ -30,7 +30,6 @@ from ..spec import (
     SceneObject,
     SceneSpec,
     inertial,
-    is_too_light,
     joint_motion,
     joint_position,
     single_object_scene,
@@ -38,7 +37,7 @@ from ..spec import (
 )
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
-from ..spec.mass import LEAST_KG, LEAST_KG_M2, inertia_about
+from ..spec.mass import inertia_about, inertia_fault
 from ..spec.pose import Pose, pose
 
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
@@ -184,12 +183,8 @@ def _add_object(
                 start += _coordinates(spec, joint, item.joint_state)
         bodies[part.name], origins[part.name] = body, origin
         mass = inertial(spec, part)
-        if is_too_light(mass):
-            raise SpecError(
-                f"object {item.name}: part {part.name} weighs {mass.mass:.3g} kg with a least "
-                f"moment of {min(mass.diagonal):.3g} kg m^2, too little to be simulated "
-                f"({LEAST_KG:g} kg, {LEAST_KG_M2:g} kg m^2): make it larger or denser"
-            )
+        if (fault := inertia_fault(part, mass)) is not None:
+            raise SpecError(f"object {item.name}: {fault}")
         body.mass = mass.mass
         body.ipos = np.array(mass.pos) - origin
         body.iquat = mass.quat

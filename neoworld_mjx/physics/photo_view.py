@@ -86,6 +86,9 @@ def photo_deviations(
 ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, "object 2"]]:
     """Return the standard deviations of every object; zeros for objects that were not aligned.
 
+    The yaw of an object that looks the same at every heading has the deviation 0: another heading
+    would change only the poses of the objects on it, whose own deviations are known.
+
     Returns:
         Deviations of the positions, shape [object, 2, 2], and of the yaw [rad] and the log scale,
         shape [object, 2]. The columns of each 2x2 matrix are the deviations along and across the
@@ -103,7 +106,7 @@ def photo_deviations(
         along = math.atan2(y, x) - yaw_of(frame.quat)
         c, s = math.cos(along), math.sin(along)
         axes[k] = np.array([[c, -s], [s, c]]) * [uncertainty.along, uncertainty.across]
-        yaw_and_scale[k] = uncertainty.yaw, uncertainty.log_scale
+        yaw_and_scale[k] = uncertainty.yaw or 0.0, uncertainty.log_scale
     return axes, yaw_and_scale
 
 

@@ -19,6 +19,7 @@ from .step_context import (
     ANNOTATION,
     CHECK,
     COMPOSED,
+    DEPTH,
     EVIDENCE,
     GIVEN,
     OUTLINES,
@@ -44,9 +45,10 @@ def compose_scene(context: StepContext) -> None:
     """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
-    compose/scales.json, pictures/outlines.png and pictures/evidence.png. If
-    `compose.align.dimensions` is set, it also writes each changed program.py, with the spec.json
-    that it builds. The scene's picture is rendered in the background.
+    compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
+    pictures/depth.png. If `compose.align.dimensions` is set, it also writes each changed
+    program.py, with the spec.json that it builds. The scene's picture is rendered in the
+    background.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
@@ -81,7 +83,7 @@ def compose_scene(context: StepContext) -> None:
                 write_resized(placed.freed, out)
             if placed.alignment is not None and evidence.photo is not None:
                 start = placed.composed.scene
-                _write_alignment(run, start, placed.alignment, evidence.photo, out)
+                _write_alignment(run, start, placed.alignment, evidence, out)
             scene, base = placed.scene, None
             if scene.camera is not None and evidence.camera is not None:
                 base = evidence.camera.base_frame(scene.camera)
@@ -176,7 +178,7 @@ def _write_alignment(
     run: RunFolder,
     scene: SceneSpec,
     alignment: "Alignment",
-    photo: UInt8[np.ndarray, "row column 3"],
+    evidence: "Evidence",
     out: Path,
 ) -> None:
     """Write the report and the pictures of an alignment, and note large changes in the run.
@@ -185,14 +187,15 @@ def _write_alignment(
         run: the run.
         scene: the scene before the alignment.
         alignment: the alignment of the scene with the photograph.
-        photo: the photograph (sRGB).
+        evidence: the photograph, and depth image and masks if there are any.
         out: folder of the step's files.
     """
     from ..estimate.outlines import evidence_picture, outline_errors, outline_picture
+    from ..estimate.sensor_residuals import depth_picture, mask_overlaps
     from ..render import to_png
 
-    report, aligned = alignment.to_json(), alignment.scene
-    if aligned.camera is not None:
+    report, aligned, photo = alignment.to_json(), alignment.scene, evidence.photo
+    if aligned.camera is not None and photo is not None:
         (out / OUTLINES).parent.mkdir(exist_ok=True)
         (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned)))
         (out / EVIDENCE).write_bytes(to_png(evidence_picture(aligned, photo)))
@@ -200,6 +203,14 @@ def _write_alignment(
         report["outlines_px"] = {
             name: {"composed": before[name], "aligned": after[name]} for name in after
         }
+        if evidence.depth is not None:
+            (out / DEPTH).write_bytes(to_png(depth_picture(aligned, evidence.depth, photo)))
+        if evidence.masks is not None:
+            before, after = (mask_overlaps(s, evidence.masks) for s in (scene, aligned))
+            report["masks_iou"] = {
+                name: {"composed": round(before[name], 4), "aligned": round(after[name], 4)}
+                for name in after
+            }
     _write_json(out / ALIGNED, report)
     if alignment.failure:
         reason = alignment.failure

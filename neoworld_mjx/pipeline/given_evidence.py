@@ -120,8 +120,8 @@ def _with_exif(evidence: Evidence, photo: Photo) -> RunEvidence:
         )
         return RunEvidence(evidence, (reason,))
     if camera is not None:
-        sources = f"{camera.source}; {exif.source}"
-        exif = replace(camera, focal=exif.focal, focal_sd=exif.focal_sd, source=sources)
+        own = {"focal": exif.focal, "focal_sd": exif.focal_sd, "focal_source": exif.source}
+        exif = replace(camera, **own)
     return RunEvidence(replace(evidence, camera=exif))
 
 

@@ -47,7 +47,7 @@ def parse_photo(context: StepContext) -> None:
         if out is None:
             return
         known = kept_evidence(run)
-        parsed = run_coroutine(parse(photo, models, options, known=known.camera))
+        parsed = run_coroutine(parse(photo, models, options, known=known.camera, depth=known.depth))
         if known.depth is not None:
             check_distances(known.depth, parsed.response_tree)
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")

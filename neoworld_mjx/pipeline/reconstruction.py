@@ -222,16 +222,7 @@ def earlier_options(folder: Path, data: dict[str, Any], over: dict[str, Any]) ->
         config = load_config(None, merged(data, over))
     except ConfigError as error:
         raise ConfigError(f"{folder / 'run.json'}: {error}; give options by --config") from None
-    from ..refinement.objective import TERMS
-    from ..refinement.optimizer import OPTIMIZERS
-
-    code_names = [name for name in config.refine.reward.terms if name not in TERMS]
-    code_names += [config.refine.optimizer] * (config.refine.optimizer not in OPTIMIZERS)
-    if code_names:
-        raise ConfigError(
-            f"{folder / 'run.json'} names code to run ({', '.join(code_names)}): if you "
-            "trust it, give the option by --config or --set"
-        )
+    refuse_code(config, str(folder / "run.json"))
     calls_models = config.refine.semantic.scorer == "mllm"
     if calls_models and (config.mllm.base_url is not None or config.mllm.prices is not None):
         raise ConfigError(
@@ -239,6 +230,24 @@ def earlier_options(folder: Path, data: dict[str, Any], over: dict[str, Any]) ->
             "would receive your key: if you trust it, give mllm.base_url by --config or --set"
         )
     return config
+
+
+def refuse_code(config: Config, source: str) -> None:
+    """Refuse options from an untrusted source that name code to run.
+
+    Raises:
+        ConfigError: a reward term or the optimizer is named by its import path.
+    """
+    from ..refinement.objective import TERMS
+    from ..refinement.optimizer import OPTIMIZERS
+
+    code_names = [name for name in config.refine.reward.terms if name not in TERMS]
+    code_names += [config.refine.optimizer] * (config.refine.optimizer not in OPTIMIZERS)
+    if code_names:
+        raise ConfigError(
+            f"{source} names code to run ({', '.join(code_names)}): if you "
+            "trust it, give the option by --config or --set"
+        )
 
 
 def _object_names(run: RunFolder) -> list[str]:

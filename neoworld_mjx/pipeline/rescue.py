@@ -28,6 +28,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneObject, SceneSpec
 from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
+from .input_doubts import doubt_solids, doubt_unit, scaled_scene
 from .mesh_tree import MeshTree, mesh_tree
 from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
@@ -115,6 +116,7 @@ def rescue_file(
     *,
     photo: Path | None = None,
     evidence: StatedEvidence | None = None,
+    scale: float | None = None,
 ) -> Result:
     """Rescue a glTF scene or a poses.json into a run folder.
 
@@ -126,10 +128,13 @@ def rescue_file(
         evidence: evidence about the photograph. Without a camera, that of the scene's file is used.
             If `base` is stated, the result is in the world of the scene's file, which is the base
             frame; otherwise, the camera is above the origin.
+        scale: factor of all lengths in the scene's file, such as 0.01 for centimeters; if None, the
+            file is in meters, and unusual sizes are refused.
 
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
-        SpecError: a file cannot be read, or no object is free to move.
+        SpecError: a file cannot be read, no object is free to move, or the file is in doubt
+            (`input_doubts`).
         PhotoError: as for `photographed`.
         RunError: the folder is not empty, or cannot be written.
     """
@@ -142,6 +147,11 @@ def rescue_file(
         imported = import_file(file)
         if not isinstance(imported, ImportedScene):
             raise RunError(f"{file} contains one object; rescue needs a scene")
+        if scale is None:
+            doubt_unit(imported.spec)
+        else:
+            imported = scaled_scene(imported, scale)
+        doubt_solids(imported.spec)
         picture, known, camera = None, Evidence(), None
         if photo is not None:
             given = evidence or StatedEvidence()

@@ -21,7 +21,7 @@ from ..checks.signals import Signal, deduplicated, error_signal
 from ..config import ProgramOptions
 from ..errors import NeoWorldError
 from ..export import export_object, read_urdf
-from ..export.importing import to_object
+from ..export.object_of_mechanism import to_object
 from ..spec import ObjectSpec, TreeNode, inertial
 from ..spec.scale import fit_to_box
 from .ask import join_texts

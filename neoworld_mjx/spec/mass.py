@@ -37,6 +37,34 @@ def is_too_light(inertial: Inertial) -> bool:
     return not (inertial.mass >= LEAST_KG and min(inertial.diagonal) >= LEAST_KG_M2)
 
 
+IMBALANCE = 0.02
+"""Largest excess of an authored principal moment over the sum of the other two, relative to the
+moment, that is rounding; the excess is removed."""
+
+
+def inertia_fault(part: PartSpec, inertial: Inertial) -> str | None:
+    """Return why no rigid body can have the inertia of a part, or why it is too light to simulate.
+
+    Returns:
+        A sentence with the values and the remedy; None if the inertia can be simulated.
+    """
+    a, b, c = sorted(inertial.diagonal)
+    if part.inertia is not None and (a <= 0 or c > a + b):
+        moments = ", ".join(f"{v:.3g}" for v in (a, b, c))
+        return (
+            f"part {part.name} states an inertia that no body has, with the principal moments "
+            f"{moments} kg m^2 (each must be positive and at most the sum of the others): correct "
+            "it, or let `neoworld check FILE --repair --out FOLDER` derive it from the colliders"
+        )
+    if is_too_light(inertial):
+        return (
+            f"part {part.name} weighs {inertial.mass:.3g} kg with a least moment of "
+            f"{min(inertial.diagonal):.3g} kg m^2, too little to be simulated ({LEAST_KG:g} kg, "
+            f"{LEAST_KG_M2:g} kg m^2): make it larger or denser"
+        )
+    return None
+
+
 def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
     """Return a part's mass properties: authored, or summed over its collision pieces."""
     used = {geom.material for geom in part.geoms}
@@ -48,6 +76,11 @@ def inertial(spec: ObjectSpec, part: PartSpec) -> Inertial:
 def _summed(part: PartSpec, densities: tuple[tuple[str, float], ...]) -> Inertial:
     if part.inertia is not None and part.mass is not None:
         diagonal, quat = _principal(part.inertia.tensor())
+        largest = int(np.argmax(diagonal))
+        others = float(diagonal.sum() - diagonal[largest])
+        # Numbers of a file are rounded, and MuJoCo rejects any excess.
+        if others < diagonal[largest] <= others * (1 + IMBALANCE):
+            diagonal[largest] = others * (1 - 1e-12)
         return Inertial(
             mass=part.mass, pos=part.inertia.pos, quat=quat, diagonal=tuple(diagonal.tolist())
         )

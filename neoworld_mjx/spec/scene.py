@@ -41,8 +41,9 @@ class PoseUncertainty(Spec):
     """Standard deviation of the horizontal position along the camera's view [m]."""
     across: Deviation
     """Standard deviation of the horizontal position across the camera's view [m]."""
-    yaw: Deviation
-    """Standard deviation of the heading [rad]."""
+    yaw: Deviation | None
+    """Standard deviation of the heading [rad]; None if the object looks the same at every heading,
+    so that no photograph shows it."""
     log_scale: Deviation
     """Standard deviation of the logarithm of the size."""
     joints: dict[JointKey, Deviation] = Field(default={}, exclude_if=lambda value: not value)

@@ -14,7 +14,8 @@ from ..checks.signals import Allowance, Signal, has_errors
 from ..config import Config, ProgramOptions
 from ..errors import ExportError, SpecError
 from ..export import export_object, object_files
-from ..export.importing import Imported, ImportedScene, import_file
+from ..export.importing import ImportedScene, import_file, only_object
+from ..export.object_of_mechanism import Imported
 from ..io import read_model, read_untrusted_text
 from ..io.files import write_inside
 from ..program import BuildResult, build
@@ -126,7 +127,7 @@ MAX_JOINTS = 64
 
 
 def import_object(path: Path) -> Imported:
-    """Read a URDF or MJCF file with one object.
+    """Read a URDF or MJCF file with one object, and possibly a floor and other surroundings.
 
     Raises:
         SpecError: the file has another format, contains several objects, is malformed, or exceeds
@@ -134,6 +135,9 @@ def import_object(path: Path) -> Imported:
     """
     imported = import_file(path)
     if isinstance(imported, ImportedScene):
+        lone = only_object(imported)
+        if lone is not None:
+            return lone
         names = ", ".join(item.name for item in imported.spec.objects[:8])
         raise SpecError(f"{path} contains several objects instead of one: {names}")
     return imported
@@ -171,7 +175,7 @@ def check_object(
         path: a program (.py), URDF or MJCF file.
         config: options of programs and of the object tests.
         imported: content of the file if it has already been read; if None, the file is read.
-        fixed_base: if True, the base is fixed.
+        fixed_base: if True, the base is fixed, as it also is if the file fixes it to the world.
         repair: if True, try direct repairs. The patch of a program is written next to the program.
         out: folder for the repaired object in every format; if None, the object is not written.
 
@@ -204,6 +208,7 @@ def check_object(
     else:
         imported = imported or import_object(path)
         spec, output["notes"] = imported.spec, list(imported.notes)
+        fixed_base = fixed_base or imported.fixed_base
         if (joints := sum(joint.type != "fixed" for joint in spec.joints)) > MAX_JOINTS:
             raise SpecError(
                 f"{path} has {joints} joints that move; at most {MAX_JOINTS} are checked"

@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.pose import Pose, from_yaw, pose, yaw_of
+from .evidence_lines import deviation_phrase, evidence_lines
 from .report.objects import object_checks
 from .report.page import read_json
 from .scene_nodes import FreeFall, SceneNodes, bounds_of, look_at, look_through, part_poses
@@ -240,7 +242,9 @@ class SceneViewer:
         self._selected = name if name in names else ""
         if self._selected:
             self._chooser.value = name
-            self._facts.content = message(*_facts(self._target, self.placed.scene.object(name)))
+            self._facts.content = message(
+                *object_facts(self._target, self.placed.scene.object(name))
+            )
         self._show_handle()
 
     def _show_handle(self) -> None:
@@ -311,8 +315,8 @@ def verdict_of(target: ViewTarget) -> list[str]:
     return [target.title, verdict_line(read_run(target.run)["metrics"])]
 
 
-def _facts(target: ViewTarget, obj: SceneObject) -> list[str]:
-    """Return lines with an object's label, support, size, mass, and failed object checks."""
+def object_facts(target: ViewTarget, obj: SceneObject) -> list[str]:
+    """Return lines with an object's label, support, size, mass, evidence and failed checks."""
     low, high = bounds(obj.spec, obj.joint_state)
     size = " x ".join(f"{100 * v:.1f}" for v in high - low)
     mass = sum(inertial(obj.spec, part).mass for part in obj.spec.parts)
@@ -321,10 +325,25 @@ def _facts(target: ViewTarget, obj: SceneObject) -> list[str]:
         f"{obj.name}: {obj.spec.label or 'no label'}",
         f"{support}{', fixed' if obj.static else ''}; {size} cm; {mass:.3g} kg",
     ]
-    verified = None
-    if target.run is not None:
-        verified = read_json(target.run / "objects" / obj.name / "verify.json")
+    if target.run is None:
+        return lines
+    lines += _evidence(target.run, obj)
+    verified = read_json(target.run / "objects" / obj.name / "verify.json")
     if verified is None:
         return lines
     failed = [f"not valid: {check.phrase()}" for check in object_checks(verified) if check.failed]
     return [*lines, *(failed or ["passes its object checks"])]
+
+
+def _evidence(run: Path, obj: SceneObject) -> list[str]:
+    """Return lines on the evidence of an object's pose, and on its standard deviations."""
+    aligned = read_json(run / "compose" / "align.json") or {}
+    boxes = (read_run(run)["metrics"].get("box_iou") or {}).get("objects", {})
+    try:
+        found = evidence_lines(aligned, boxes.get(obj.name, {}), obj.name, obj.parent or "world")
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        return [f"compose/align.json has an unexpected structure: {error}"]
+    lines = [f"{kind}: {line}" for kind, line in found.items()]
+    if obj.uncertainty is not None:
+        lines.append(f"known to: {deviation_phrase(obj.uncertainty.model_dump())}")
+    return lines

@@ -9,12 +9,11 @@ from PIL import Image
 
 from ..config import Config
 from ..errors import PhotoError, SpecError
+from ..export.importing import FILES, USD, ImportedScene, import_file
 from ..parse.photo import load_photo
 from ..run_folder import refuse_links
 from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
 
-OBJECT_FILES = (".urdf", ".xml", ".mjcf", ".usd", ".usda", ".usdc", ".usdz")
-"""Suffixes of files that `import_object` reads, or refuses with the name of a converter."""
 SHOWN_PX = 1024
 """Longest side of the photograph on the page, in pixels."""
 
@@ -35,7 +34,7 @@ class ViewTarget:
 
 
 def open_target(path: Path, config: Config) -> ViewTarget:
-    """Read a run folder, a scene.json, an object's folder, a URDF or MJCF file, or a program.
+    """Read a run folder, a scene.json, an object's folder, a program, or another program's file.
 
     Raises:
         SpecError: the path contains none of these, or cannot be read.
@@ -51,10 +50,15 @@ def open_target(path: Path, config: Config) -> ViewTarget:
                 return open_target(path / name, config)
         raise SpecError(
             f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name "
-            "a run folder, a scene.json, a program (.py), or a URDF or MJCF file"
+            "a run folder, a scene.json, a program (.py), or a URDF, MJCF or glTF file"
         )
+    if path.suffix.lower() in (*FILES, *USD):
+        imported = import_file(path)
+        if isinstance(imported, ImportedScene):
+            return ViewTarget(path.name, imported.spec)
+        return ViewTarget(path.name, single_object_scene(imported.spec))
     is_spec = path.name == "spec.json"
-    if is_spec or path.suffix == ".py" or path.suffix.lower() in OBJECT_FILES:
+    if is_spec or path.suffix == ".py":
         from ..verify.checking import object_of_file
 
         spec = object_of_file(path, config.program)
@@ -62,7 +66,7 @@ def open_target(path: Path, config: Config) -> ViewTarget:
     if path.exists() and path.suffix != ".json":
         raise SpecError(
             f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
-            "URDF or an MJCF file"
+            "URDF, MJCF or glTF file"
         )
     scene = read_scene(path)
     folders = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)

@@ -54,6 +54,16 @@ def test_headings_and_sizes_are_errors_of_their_own():
     assert errors({"spec": smaller})["log_scale"] == pytest.approx(-math.log(0.9) / 0.03)
 
 
+def test_headings_that_are_stated_as_not_seen_do_not_count():
+    unseen = KNOWN.model_copy(update={"yaw": None})
+    box = desk.five().object("box")
+    truth = desk.five()
+    turned = box.model_copy(update={"yaw": box.yaw + 0.1, "uncertainty": unseen})
+    objects = [turned if item.name == "box" else item for item in truth.objects]
+    found = dict(object_errors(truth.model_copy(update={"objects": tuple(objects)}), truth))
+    assert found.keys() == {"along", "across", "log_scale"}
+
+
 def test_objects_of_another_support_do_not_count():
     truth = desk.five()
     ball = truth.object("ball").model_copy(update={"uncertainty": KNOWN, "parent": "box"})

@@ -10,6 +10,7 @@ from neoworld_mjx.checks.verdict import Fault
 from neoworld_mjx.spec import (
     Box,
     Capsule,
+    Cylinder,
     GeomSpec,
     Lathe,
     Material,
@@ -117,6 +118,19 @@ def test_a_lying_object_is_dropped_in_its_resting_orientation():
     half = math.sqrt(0.5)
     lying = verify(pole, tilt=(half, 0, half, 0))
     assert lying.passed, bad(lying)
+
+
+@pytest.mark.parametrize(("radius", "height"), [(0.0425, 0.036), (0.03, 0.1), (0.2, 0.02)])
+def test_cylinders_pass_upright_and_on_their_side(radius, height):
+    cylinder = scenes.single("can", (Cylinder(radius=radius, height=height), (0, 0, height / 2)))
+    for threads in (1, 2):
+        upright = verify(cylinder, threads=threads)
+        assert upright.passed, bad(upright)
+    # On its side, about a diagonal, a cylinder touches the floor between the points of a facet.
+    half, heading = math.sqrt(0.5), math.radians(7.5)
+    tilt = (half, half * math.cos(heading), half * math.sin(heading), 0.0)
+    lying = verify(cylinder, tilt=tilt)
+    assert not [check for check in lying.checks if check.outcome == "TOOL_FAILURE"]
 
 
 def test_a_ball_that_rolls_when_tilted_has_no_fault():

@@ -90,6 +90,20 @@ def test_resets_within_what_the_photograph_leaves_open(scene):
     assert 0.0007 < across.std() < 0.0013
 
 
+@pytest.mark.parametrize(("yaw", "turns"), [(0.02, True), (None, False)])
+def test_resets_turn_no_object_whose_heading_is_not_seen(scene, yaw, turns):
+    known = PoseUncertainty(along=0.0, across=0.0, yaw=yaw, log_scale=0.0)
+    objects = [
+        item.model_copy(update={"uncertainty": known}) if item.parent else item
+        for item in scene.objects
+    ]
+    env = nw.gym_env(
+        scene.model_copy(update={"objects": tuple(objects)}), noise=nw.ResetNoise(photo=1.0)
+    )
+    starts = np.array([env.reset(seed=seed)[0]["poses"] for seed in range(4)])
+    assert bool(np.ptp(starts, axis=0).max() > 1e-3) == turns
+
+
 def test_a_gripper_opens_the_drawer_by_its_handle(scene):
     start = facing(scene, "chest-drawer_handle")
     out = rotate(np.array([np.cos(0.25), 0, 0, np.sin(0.25)]), np.array([1.0, 0, 0]))

@@ -9,6 +9,7 @@ from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.spec import Sphere
+from neoworld_mjx.spec.pose import from_axis_angle
 from tests.estimate import desk
 
 DISPLACED = {
@@ -114,7 +115,9 @@ def test_displaced_objects_come_back(five, displaced, aligned):
         assert np.add(was.xy, change.shift_m) == pytest.approx(item.xy)
         assert item.yaw - was.yaw == pytest.approx(math.radians(change.yaw_deg))
         assert item.uncertainty == change.uncertainty
-        assert min(change.uncertainty.model_dump().values()) > 0
+        known = change.uncertainty.model_dump()
+        assert (known["yaw"] is None) == (name in ("can", "ball"))
+        assert min(value for value in known.values() if value is not None) > 0
     # The desk has no unknowns of its own; with the focal length the camera's distance changes.
     place = {"xy": wrong.object("desk").xy}
     assert result.scene.object("desk").model_copy(update=place) == wrong.object("desk")
@@ -189,7 +192,25 @@ def test_a_black_photograph_moves_nothing(five, photo, on_black):
     assert max(desk.distances(result.scene, five).values()) < 1e-6
     for name, change in result.objects.items():
         known, prior = (c.uncertainty.model_dump() for c in (change, composed.objects[name]))
+        yaw, prior_yaw = known.pop("yaw"), prior.pop("yaw")
+        assert yaw is prior_yaw is None or yaw == pytest.approx(prior_yaw, rel=1e-6)
         assert known == pytest.approx(prior, rel=1e-6)
+
+
+def test_a_round_object_has_a_heading_only_if_it_lies(five):
+    lies = {"base_tilt": tuple(from_axis_angle((0.0, 1.0, 0.0), math.pi / 2)), "z": desk.TOP + 0.03}
+    scene = desk.on_desk(
+        (desk.can("lying", 0.03, 0.12, "blue"), (-0.05, 0.1), 0.6, lies),
+        (desk.can("upright", 0.03, 0.12, "red"), (-0.05, -0.1), 0.6, {}),
+        (desk.colored("ball", Sphere(radius=0.04), "yellow"), (0.15, 0.0), 0.0, lies),
+    )
+    turned = dict.fromkeys(("lying", "upright", "ball"), (0, 0, 4.0, 0))
+    result = align(desk.displaced(scene, **turned), desk.photograph(scene, 640))
+    left = desk.turns(result.scene, scene)
+    assert left["lying"] < 1.0 and min(left["upright"], left["ball"]) > 3.9
+    known = {name: change.uncertainty.yaw for name, change in result.objects.items()}
+    assert known["upright"] is None and known["ball"] is None
+    assert math.radians(0.15) < known["lying"] < math.radians(3)
 
 
 def test_glass_keeps_its_composed_place(five):

@@ -8,12 +8,16 @@ import pytest
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
 from neoworld_mjx.estimate.camera_evidence import (
+    camera_estimates,
     edges_of_photo,
     has_vertical_edges,
     linearized_edges,
 )
 from neoworld_mjx.estimate.rasterize import WorldMesh
 from neoworld_mjx.estimate.unknowns import CAMERA
+from neoworld_mjx.evidence.depth_image import DepthImage
+from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import Box, Cylinder, Sphere
 from neoworld_mjx.spec.pose import from_axis_angle, matrix
@@ -95,3 +99,45 @@ def test_a_photograph_without_edges_tells_nothing(five, photo):
     blank = np.full_like(photo, 128)
     assert edges_at_start(five, blank) is None
     assert align(five, blank).scene == align(five, blank, AlignOptions(edges=False)).scene
+
+
+def test_sources_of_the_camera_are_named():
+    focal = desk.CAMERA.focal
+    exif = KnownCamera(
+        (640, 480), focal=focal, focal_sd=0.03, pitch=0.5, source="a.json", focal_source="EXIF"
+    )
+    depth = DepthImage(np.ones((48, 64)))
+    deviations = np.array([0.01, 0.02, 0.03, 0.04])
+
+    def sources(evidence, **more):
+        options = {"measured": ("pitch", "height"), "edges": True} | more
+        estimates = camera_estimates(desk.CAMERA, deviations, evidence, **options)
+        assert estimates["fovy"].deviation == pytest.approx(0.03 * math.sin(desk.CAMERA.fovy))
+        assert estimates["height"].deviation == pytest.approx(0.04 * desk.CAMERA.height)
+        assert estimates["pitch"].value == desk.CAMERA.pitch
+        return [estimate.source for estimate in estimates.values()]
+
+    assert sources(Evidence()) == [
+        "estimated: measured in the response, vertical edges",
+        "estimated: vertical edges",
+        "estimated",
+        "estimated: measured in the response",
+    ]
+    assert sources(Evidence(camera=exif, depth=depth), measured=(), edges=False) == [
+        "a.json",
+        "estimated: depth",
+        "EXIF",
+        "estimated: depth",
+    ]
+    bare = KnownCamera((640, 480), roll=0.0, height=0.5)
+    assert sources(Evidence(camera=bare), measured=(), edges=False)[1::2] == ["given", "given"]
+
+
+def test_alignment_states_the_camera(five, photo):
+    known = KnownCamera(
+        (640, 480), focal=five.camera.focal, pitch=five.camera.pitch, source="camera.json"
+    )
+    camera = align(desk.boxed(five), photo, evidence=Evidence(camera=known)).camera
+    assert [camera[name].source for name in ("pitch", "fovy")] == ["camera.json"] * 2
+    assert camera["fovy"].deviation < 1e-3 < camera["height"].deviation
+    assert camera["height"].source == "estimated"

@@ -12,10 +12,11 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import (
     collider_error,
+    losses,
     write_formats,
 )
 from neoworld_mjx.names import FORMATS
-from neoworld_mjx.spec import Cylinder
+from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
 from tests.support import mechanisms
 
 
@@ -106,10 +107,37 @@ def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabine
     assert all((out / file).is_file() for file in answer["files"])
     assert run() == 2
     assert "not empty" in "".join(capfd.readouterr())
+    assert "stiffness and armature of joints" in answer["lost"]["urdf"]
+    assert not any("ball joints" in text for text in answer["lost"]["urdf"])
+    assert run("--for", "isaac", "--floor", "--overwrite") == 2
+    assert "--floor is written to MJCF only" in "".join(capfd.readouterr())
     assert run("--for", "mjx", "--floor", "--overwrite") == 0
     assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
     model = mujoco.MjModel.from_xml_path(str(out / "object.xml"))
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def test_losses_are_those_of_the_scene():
+    crate = mechanisms.single("crate", Box(size=(0.1, 0.1, 0.1)), 0.05)
+    assert losses("usd", crate) == losses("mjcf", crate) == []
+    assert losses("sdf", crate) == ["textures"]
+    egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
+    assert losses("usdz", egg) == ["ellipsoid colliders, written as meshes"]
+
+
+@pytest.mark.parametrize(("z", "floor"), [(0.0, 0.0), (-0.7, -0.7)])
+def test_the_floor_is_at_zero_or_below_the_lowest_free_object(tmp_path, z, floor):
+    table = mechanisms.single("table", Box(size=(1, 1, 0.04)), 0.02)
+    crate = mechanisms.single("crate", Box(size=(0.1, 0.1, 0.1)), 0.05)
+    scene = SceneSpec(
+        objects=(
+            SceneObject(name="table", spec=table, environment=True, z=-0.04),
+            SceneObject(name="crate", spec=crate, z=z),
+        )
+    )
+    write_formats(scene, tmp_path, ["mjcf"], floor=True)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
+    assert model.geom("floor").pos[2] == pytest.approx(floor)
 
 
 def test_the_newton_layer_sets_joint_states_and_contacts(tmp_path, scene):

@@ -1,9 +1,12 @@
 """Import of URDF and MJCF: round trips, assumptions, and notes of what is left out."""
 
+import json
+
 import numpy as np
 import pytest
 
 from neoworld_mjx.cache import VARIABLE
+from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
     export_object,
@@ -14,6 +17,7 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io.limited_worker import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial
+from neoworld_mjx.verify.checking import import_object
 from tests.support import scenes
 
 READERS = {"object.urdf": import_urdf, "object.xml": import_mjcf}
@@ -102,10 +106,24 @@ def test_notes_of_a_scene_name_the_object_unless_they_concern_the_whole_file(tmp
         "<sensor><jointpos joint='spin'/></sensor></mujoco>"
     )
     assert set(import_file(file).notes) == {
-        "sensor is not imported",
-        "an equality other than between two joints is not imported",
-        "crate: joint spin moves the whole object and is not imported",
+        "1 sensor not imported",
+        "equality (weld of crate and joint_block) is not imported",
     }
+
+
+def test_an_object_on_a_floor_is_checked_as_a_scene_or_by_itself(tmp_path, capfd):
+    path = tmp_path / "cup.xml"
+    path.write_text(
+        "<mujoco><worldbody><geom name='ground' type='plane' size='1 1 1'/><body name='cup' "
+        "pos='0 0 .1'><freejoint/><geom type='box' size='.1 .1 .1'/></body></worldbody></mujoco>"
+    )
+    for flags, entry in (((), "movable"), (("--repair",), "object")):
+        with pytest.raises(SystemExit) as left:
+            main(["check", str(path), "--json", *flags])
+        answer = json.loads(capfd.readouterr().out)
+        assert left.value.code == 0 and entry in answer
+    assert "only cup is used, without its surroundings: ground" in answer["notes"]
+    assert import_object(path).spec.name == "cup"
 
 
 def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatch):
@@ -128,7 +146,6 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
 
 def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(decompose, "coacd_installed", lambda: False)
-    monkeypatch.setattr("neoworld_mjx.export.importing.coacd_installed", lambda: False)
     (tmp_path / "u.obj").write_text(U)
     path = tmp_path / "u.urdf"
     path.write_text(
@@ -182,13 +199,16 @@ def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     path = tmp_path / "stove.xml"
     path.write_text(STOVE)
     result = import_mjcf(path)
-    # The compiler's lower bound of the mass is not the burner's.
     assert [part.name for part in result.spec.parts] == ["stove", "knob"]
     assert [geom.role for geom in result.spec.part("stove").geoms] == ["collision", "visual"]
-    assert result.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8)
+    # The burner weighs as much as the compiler's lower bound of a mass.
+    assert result.spec.part("stove").mass == pytest.approx(300 * 0.6 * 0.6 * 0.8 + 0.001, abs=1e-9)
+    # The knob collides with nothing, so only a tiny sphere is its collider.
+    assert [geom.role for geom in result.spec.part("knob").geoms] == ["visual", "collision"]
+    assert result.spec.part("knob").mass == pytest.approx(0.1)
 
 
-def test_the_meshes_of_an_asset_are_split_within_its_time(tmp_path, caplog, monkeypatch):
+def test_a_mesh_that_takes_long_leaves_the_others_their_share_of_the_time(tmp_path, monkeypatch):
     """CoACD takes minutes for open meshes of some thousand faces; a scene may have many."""
     pytest.importorskip("coacd")
     import trimesh
@@ -196,18 +216,22 @@ def test_the_meshes_of_an_asset_are_split_within_its_time(tmp_path, caplog, monk
     monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
     torus = trimesh.creation.torus(0.3, 0.1, 70, 70)
     trimesh.Trimesh(torus.vertices, torus.faces[:-300]).export(tmp_path / "open.obj")
-    visual = "<visual><geometry><mesh filename='open.obj'/></geometry></visual>"
+    (tmp_path / "u.obj").write_text(U)
     path = tmp_path / "open.urdf"
-    path.write_text(urdf(f"<link name='a'>{visual * 3}</link>"))
-    with bounded_by(FileOptions(decompose_s=1.0)):
-        geoms = import_urdf(path).spec.parts[0].geoms
-    assert [len(geom.shape.hulls) for geom in geoms] == [1, 1, 1]
-    assert [record.getMessage().split(" (")[0] for record in caplog.records] == [
-        "no convex decomposition"
-    ] * 3
-    assert "files.decompose_s of 1 s is exceeded" in caplog.text
+    visuals = [
+        f"<visual><geometry><mesh filename='{file}.obj'/></geometry></visual>"
+        for file in ("open", "u")
+    ]
+    path.write_text(urdf(f"<link name='a'>{''.join(visuals)}</link>"))
+    with bounded_by(FileOptions(decompose_s=6.0)):
+        read = import_urdf(path)
+    hulls = [len(geom.shape.hulls) for geom in read.spec.parts[0].geoms]
+    assert hulls[0] == 1 and hulls[1] >= 3
+    (note,) = [note for note in read.notes if "no colliders" in note]
+    assert "its convex hull, as CoACD fails (" in note and "takes over" in note
+    assert f"{hulls[1]} convex pieces by CoACD" in note
     # The hulls are not stored: a later import may take the time.
-    assert not list(tmp_path.glob("cache/**/*.npz"))
+    assert len(list(tmp_path.glob("cache/**/*.npz"))) == 1
 
 
 def test_closed_meshes_are_split_finely(tmp_path):
@@ -219,6 +243,6 @@ def test_closed_meshes_are_split_finely(tmp_path):
         (0.9, 0.4, 0.1), trimesh.transformations.translation_matrix((0.2, 0, 0.2))
     )
     mesh = trimesh.boolean.difference([box, slot], engine="manifold")
-    pieces = decompose.convex_pieces(mesh.vertices, mesh.faces)
+    pieces = decompose.convex_pieces(mesh.vertices, mesh.faces).pieces
     volume = sum(decompose.volume_of_hull(piece) for piece in pieces)
     assert volume == pytest.approx(mesh.volume, rel=0.02)

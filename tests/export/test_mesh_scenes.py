@@ -11,6 +11,7 @@ from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.formats import object_files
 from neoworld_mjx.export.importing import ImportedScene, import_file
+from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import (
     mesh_object,
     read_mesh_scene,
@@ -161,10 +162,30 @@ def test_models_in_place_of_meshes(tmp_path):
         assert np.allclose(world_vertices(read, name).min(axis=0), low, atol=1e-5), item.name
 
 
+def test_a_list_of_poses_says_what_is_fixed_and_where_models_are(tmp_path):
+    box = "<geom type='box' size='.1 .1 .1'/>"
+    (tmp_path / "a.xml").write_text(
+        "<mujoco><option gravity='0 0 -1.6'/><worldbody><geom name='ground' type='plane' "
+        f"size='1 1 1'/><body name='chest'>{box}<body name='lid' pos='0 0 .2'><joint name='j' "
+        f"range='0 90'/>{box}</body></body></worldbody></mujoco>"
+    )
+    pose = np.eye(4)
+    pose[2, 3] = 0.5
+    for fixed in (False, True):
+        objects = {"chest": {"file": "a.xml", "pose": pose.tolist(), "fixed": fixed}}
+        (tmp_path / "poses.json").write_text(json.dumps({"objects": objects}))
+        read = import_file(tmp_path / "poses.json")
+        (item,) = read.spec.objects
+        assert item.fixed_base == fixed and item.z == pytest.approx(0.4)
+    reported = " / ".join(read.notes)
+    assert "ground of the world is not imported" in reported
+    assert "gravity 0 0 -1.6 m/s^2 is not kept" in reported
+
+
 def test_mirrored_pose_mirrors_the_mesh():
     corner = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1.0]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    made = mesh_object("a", [(corner, faces)], np.diag([-1.0, 1, 1, 1]))
+    made = mesh_object("a", [Surface(corner, faces)], np.diag([-1.0, 1, 1, 1]))
     (shape,) = made.mechanism.links["body"].shapes
     vertices, outward = shape.shape
     world = vertices @ made.frame[:3, :3].T + made.frame[:3, 3]

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
+from shapely import Polygon
 
 from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.physics.decompose import (
+    Budget,
     _coacd,
     coacd_installed,
     convex_pieces,
+    outward,
 )
 
 pytestmark = pytest.mark.skipif(not coacd_installed(), reason="CoACD is not installed")
@@ -46,7 +49,7 @@ def test_a_bowl_of_many_faces_stays_hollow(tmp_path, monkeypatch):
     mesh = bowl(50, 200)
     assert len(mesh.faces) > 19_000
     with bounded_by(FileOptions(decompose_s=40.0)):
-        pieces = convex_pieces(mesh.vertices, mesh.faces)
+        pieces = convex_pieces(mesh.vertices, mesh.faces).pieces
     assert len(pieces) > 1
     assert agreement(pieces) > 0.75 > 0.5 > agreement([np.asarray(mesh.vertices)])
 
@@ -84,3 +87,54 @@ def test_an_open_box_stays_hollow():
     for piece in pieces:
         planes = ConvexHull(piece).equations
         assert (planes[:, 3] > 0).any(), "the middle of the tray is inside a piece"
+
+
+def bracket() -> trimesh.Trimesh:
+    return trimesh.creation.extrude_polygon(
+        Polygon([(0, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1), (0.1, 0.3), (0, 0.3)]), 0.1
+    )
+
+
+def shell() -> trimesh.Trimesh:
+    """Return a closed box with a closed cavity."""
+    cavity = trimesh.creation.box((0.2, 0.2, 0.2))
+    cavity.invert()
+    return trimesh.util.concatenate([trimesh.creation.box((0.3, 0.3, 0.3)), cavity])
+
+
+@pytest.mark.parametrize("solid", [bracket(), shell(), trimesh.creation.torus(0.2, 0.05, 16, 8)])
+@pytest.mark.parametrize("wrong", ["all", "half", "two"])
+def test_closed_meshes_that_face_inwards_are_turned(solid, wrong):
+    chosen = {"all": slice(None), "half": slice(None, None, 2), "two": slice(0, 2)}[wrong]
+    faces = np.array(solid.faces)
+    faces[chosen] = faces[chosen, ::-1]
+    turned = trimesh.Trimesh(solid.vertices, outward(solid.vertices, faces), process=False)
+    assert turned.volume == pytest.approx(solid.volume)
+    assert np.array_equal(outward(solid.vertices, solid.faces), solid.faces)
+
+
+def test_open_meshes_are_not_turned():
+    tray = tray_of_a_box()
+    for faces in (tray.faces, tray.faces[:, ::-1]):
+        assert np.array_equal(outward(tray.vertices, faces), faces)
+
+
+def test_a_mesh_leaves_time_to_the_others():
+    with bounded_by(FileOptions(decompose_s=120.0)):
+        for meshes, first_s in ((1, 120), (2, 60), (30, 30)):
+            budget = Budget.of(meshes)
+            with budget.share() as share_s:
+                assert share_s == first_s
+            # It needed no time.
+            assert budget.meshes == meshes - 1 and budget.left_s == pytest.approx(120, abs=1)
+
+
+def test_an_inverted_mesh_has_the_pieces_of_the_mesh(tmp_path, monkeypatch):
+    """CoACD does not end on a mesh whose triangles face inwards, unless it wraps the mesh."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    mesh = bracket()
+    mesh.invert()
+    with bounded_by(FileOptions(decompose_s=30.0)):
+        pieces, method = convex_pieces(mesh.vertices, outward(mesh.vertices, mesh.faces))
+    assert method == "2 convex pieces by CoACD"
+    assert sum(ConvexHull(piece).volume for piece in pieces) == pytest.approx(0.005, rel=1e-3)

@@ -5,6 +5,7 @@ import copy
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,10 +15,14 @@ from PIL import Image
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import EvidenceError, RunError, SpecError
+from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
-from neoworld_mjx.evidence.stored import evidence_files, read_stored
+from neoworld_mjx.evidence.masks import Masks
+from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored
+from neoworld_mjx.mllm.replay import Tape
+from neoworld_mjx.parse.draw_measured import draw_measured
 from neoworld_mjx.parse.parse import parse
-from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from neoworld_mjx.parse.prompts import parse_request
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import write_annotated
@@ -61,6 +66,18 @@ def write_example(folder):
         "masks: {file: files/masks.png, names: files/names.json}\n"
     )
     return folder / "evidence.yaml"
+
+
+def tape_with(folder, photo, *depths):
+    """Write the bundled tape, with its parse also as the response to requests that show depths."""
+    tape = Tape.load(Path(nw.__file__).parent / "data" / "tapes" / "coffee.tape.json")
+    picture = load_photo(photo, min_side_px=MODEL_MIN_SIDE_PX)
+    parsed = next(entry for entry in tape.answers.values() if entry.name == "parse")
+    for values in depths:
+        request = parse_request(picture, None, draw_measured(picture, None, values))
+        tape.answers[request.key] = parsed
+    tape.save(folder / "depths.tape.json")
+    return (folder / "depths.tape.json",)
 
 
 def test_one_file_names_all_evidence(tmp_path):
@@ -121,7 +138,11 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     out = tmp_path / "out"
     values = np.linspace(0.3, 0.5, 400)[:, None] + np.zeros((1, 600))
     image = nw.DepthImage(values, source="sensor.png")
-    run = lambda **kwargs: reconstruct(photo, out, quick_config, until="parse", **kwargs)
+    other = nw.DepthImage(values + 0.01, source="sensor.png")
+    tapes = tape_with(tmp_path, photo, image, other)
+    run = lambda **kwargs: reconstruct(
+        photo, out, quick_config, until="parse", tapes=tapes, **kwargs
+    )
     written = lambda: (out / "tree.json").stat().st_mtime_ns
     run(evidence=nw.Evidence(depth=image))
     data = json.loads((out / "run.json").read_text())
@@ -135,7 +156,6 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     assert written() == first and (out / "evidence" / "depth.npy").is_file()
     run(start="parse")
     assert (out / "evidence" / "depth.npy").is_file()
-    other = nw.DepthImage(values + 0.01, source="sensor.png")
     second = written()
     run(evidence=nw.Evidence(depth=other), resume=True)
     assert written() != second
@@ -172,8 +192,12 @@ def test_evidence_of_a_run_is_not_read_through_links(tmp_path, photo):
 def test_depth_in_another_unit_than_the_response_is_refused(tmp_path, photo, quick_config):
     values = np.linspace(3.0, 5.0, 400)[:, None] + np.zeros((1, 600))
     given = nw.Evidence(depth=nw.DepthImage(values, source="depth.png"))
+    tapes = tape_with(tmp_path, photo, given.depth)
+    run = lambda: reconstruct(
+        photo, tmp_path / "out", quick_config, until="parse", evidence=given, tapes=tapes
+    )
     with pytest.raises(EvidenceError, match=r"depth\.png: its depths are .* times the distances"):
-        reconstruct(photo, tmp_path / "out", quick_config, until="parse", evidence=given)
+        run()
 
 
 def jpeg(path, mm=26, size=(640, 480), taken=None):
@@ -193,6 +217,8 @@ def test_focal_length_of_exif_is_a_prior(tmp_path):
     gravity = StatedEvidence(gravity=(0, 1, 0))
     both = evidence_of_run(load_photo(tmp_path / "a.jpg"), gravity).evidence.camera
     assert both.focal_sd == 0.03 and both.pitch == pytest.approx(0)
+    assert both.source_of("focal") == "EXIF of a.jpg (26 mm)" != both.source_of("pitch")
+    assert "gravity; EXIF of a.jpg" in evidence_lines(nw.Evidence(camera=both))["camera"]
     calibrated = nw.Evidence(camera=nw.KnownCamera((640, 480), focal=600.0))
     read = evidence_of_run(load_photo(tmp_path / "a.jpg"), calibrated)
     assert read.evidence is calibrated and "0.80 times that of" in read.refused[0]
@@ -294,6 +320,27 @@ def test_refined_scene_and_exports_are_in_the_base_frame(both_frames):
     assert np.allclose(camera.xpos[:2], CALIBRATED.base[:2], atol=1e-6)
     ahead = -camera.xmat.reshape(3, 3)[:, 2]
     assert math.atan2(ahead[1], ahead[0]) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_run_shows_what_the_evidence_says(both_frames, tmp_path, photo, quick_config):
+    scene = read_scene(both_frames[0] / "compose" / "scene.json")
+    drawn = draw_scene(scene, scene.camera, SIZE[0])
+    values = np.where(np.isfinite(drawn.depth), drawn.depth, np.nan)
+    cup = scene.index("cup")
+    given = nw.Evidence(
+        camera=dataclasses.replace(CALIBRATED, base=None, heading=0.0),
+        depth=nw.DepthImage(values),
+        masks=Masks((drawn.owner == cup).astype(int), {"cup": 1}),
+    )
+    write_annotated(photo, tmp_path / "out", coffee(), quick_config, evidence=given)
+    aligned = json.loads((tmp_path / "out" / "compose" / "align.json").read_text())
+    assert {entry["source"] for entry in aligned["camera"].values()} == {"calibration"}
+    assert aligned["masks_iou"]["cup"]["aligned"] > 0.8
+    picture = np.asarray(Image.open(tmp_path / "out" / "pictures" / "depth.png")).astype(int)
+    on_cup = picture[:-30][np.asarray(Image.fromarray(drawn.owner == cup).resize((640, 427)))]
+    assert np.median(on_cup.max(axis=1)) > 200  # Not gray: its depth is measured.
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "calibration</td>" in page and "Rendered minus measured distance" in page
 
 
 def test_measures_do_not_depend_on_the_frame(both_frames):

@@ -33,11 +33,12 @@ from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline import place as place_module
+from neoworld_mjx.pipeline.input_doubts import doubt_solids, doubt_unit, scaled_scene
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photographed, rescue, rescue_file
 from neoworld_mjx.render import render_scene, visible_surface
-from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, world_poses
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec, bounds, read_scene, world_poses
 from neoworld_mjx.spec.pose import from_yaw, matrix, pose
 from tests.support import scenes
 from tests.support.bop_sample import desk
@@ -404,3 +405,46 @@ def test_the_alignment_gets_what_was_measured_and_contact_the_composed_scene(mon
     photo = np.zeros((CAMERA.height_px, CAMERA.width, 3), np.uint8)
     result = place_module.place(tree, meshes.objects, place_module.Evidence(photo, boxes=False))
     assert got == {"measured": ("pitch",), "composed": result.composed.scene}
+
+
+def boxes(**extents_at):
+    """Return an imported scene of boxes, each given by its extents and its center [m]."""
+    return scene_of_meshes(
+        {
+            name: (trimesh.creation.box(extents), upright(np.array(at), 0))
+            for name, (extents, at) in extents_at.items()
+        }
+    )
+
+
+def test_a_scene_in_another_unit_is_doubted_and_can_be_scaled(tmp_path):
+    given = boxes(table=((80, 80, 4), (0, 0, -2)), box=((10, 10, 10), (5, 0, 5)))
+    with pytest.raises(SpecError, match=r"box 10 m\): is it in centimeters\? .*--scale 0\.01; "):
+        doubt_unit(given.spec)
+    small = scaled_scene(given, 0.01)
+    doubt_unit(small.spec)
+    assert world_poses(small.spec)["box"].pos == pytest.approx((0.05, 0, 0))
+    low, high = bounds(small.spec.object("box").spec)
+    assert np.allclose(high - low, 0.1)
+    with pytest.raises(SpecError, match="is it in millimeters"):
+        doubt_unit(scaled_scene(given, 10).spec)
+    with pytest.raises(SpecError, match="is it in kilometers"):
+        doubt_unit(scaled_scene(given, 1e-5).spec)
+    with pytest.raises(SpecError, match="--scale: got 0"):
+        scaled_scene(given, 0)
+    file = tmp_path / "large.glb"
+    file.write_bytes(glb_bytes(given.spec))
+    with pytest.raises(SpecError, match="centimeters"):
+        rescue_file(file, tmp_path / "out")
+
+
+def test_a_closed_room_is_doubted_and_objects_that_are_sunk_are_not():
+    given = boxes(
+        room=((4, 4, 2.6), (0, 0, 1.3)), stool=((0.6, 0.6, 0.5), (0.5, 0.5, 0.27)),
+        outside=((0.6, 0.6, 0.5), (5, 0.5, 0.27)),
+    )  # fmt: skip
+    with pytest.raises(SpecError, match=r"room is solid and encloses objects.*\(stool by 2\.6 m\)"):
+        doubt_solids(given.spec)
+    doubt_solids(
+        boxes(table=((1, 1, 0.4), (0, 0, 0.2)), card=((0.1, 0.1, 0.01), (0, 0, 0.38))).spec
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.formats import write_formats
-from neoworld_mjx.export.importing import Imported
+from neoworld_mjx.export.object_of_mechanism import Imported
 from neoworld_mjx.names import Format
 from neoworld_mjx.spec import (
     JointSpec,

@@ -284,6 +284,7 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "cup": _place("pixels", joints={"slide_2": joint}),
         "jar": _place("box", "it is see-through", yaw=0.0472, yaw_deg=0.0001),
         "lid": _place("none", "it has no visible contour", yaw=0.0471, across=0.0004),
+        "can": _place("pixels", yaw=None, yaw_deg=0.0),
         "clock": _place("pixels", along=0.0, across=0.00002, yaw=1e-4, yaw_deg=0.0),
     }
     outlines = {
@@ -303,6 +304,7 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "heading not seen",
         "lid composition: it has no visible contour 5.0 +4 -1 unknown unknown along the view ±6 "
         "mm, across ±0.4 mm, heading ±3°, size ±3 %",
+        "can pixels 5 0.0 -1 unknown unknown along the view ±6 mm, across ±1 mm, heading not seen",
         "clock pixels 5.0 0.0 -1 unknown unknown along the wall ±0.1 mm, size ±3 %",
         *("cup: slide_2 opens 12.1 cm", "Outline off: median distance", "green where"),
     ):
@@ -311,6 +313,71 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
     assert "Nothing was aligned" in _photograph(finished)
     _align(finished, {EVIL: _place("box", EVIL)})
     assert "<script" not in write_report(finished).read_text()
+
+
+def _evidence_of(folder, name):
+    """Return the words of an object's row."""
+    html = write_report(folder).read_text()
+    row = html.partition(f"<b>{name}</b>")[2].partition("</summary>")[0]
+    return _words(row)
+
+
+def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
+    depth = {"pixels": 345, "before_m": 0.0123, "after_m": 0.0021, "rise_m": 0.0192}
+    jar = _tree()["nodes"][0] | {"name": "jar"}
+    (finished / "tree.json").write_text(json.dumps(_tree() | {"nodes": [jar]}))
+    outlines = {"jar": {"composed": 6.14, "aligned": 0.72}}
+    masks = {"jar": {"composed": 0.8, "aligned": 0.953}}
+
+    def row(evidence, reason="", change=None, **more):
+        change = {} if change is None else {"depth": depth | {"refused": ""} | change}
+        _align(finished, {"jar": _place(evidence, reason, **change)}, **more)
+        return _evidence_of(finished, "jar")
+
+    words = row("pixels", change={}, outlines_px=outlines, masks_iou=masks)
+    assert "2D box IoU parsed cuboid 0.90, composed 0.80, refined 0.85" in words
+    assert "contour off by composed 6.1 px, aligned 0.7 px" in words
+    assert (
+        "depth median residual 12 mm before and 2.1 mm after, 345 pixels; puts it 19 mm above table"
+    ) in words
+    assert "mask IoU composed 0.80, aligned 0.95" in words
+    words = row("box", "it is see-through", {"refused": "colors contradict it"}, masks_iou={})
+    assert "contour not used: it is see-through" in words
+    assert "depth not used: colors contradict it; median residual 12 mm" in words
+    assert "above" not in words and "mask none" in words
+    assert "puts it 4 mm below table" in row("pixels", change={"rise_m": -0.0041})
+    words = row("pixels", change={"pixels": 0, "refused": "fewer than 20 pixels"})
+    assert "depth not used: fewer than 20 pixels" in words and "residual" not in words
+    assert "depth" not in row("pixels") and "mask" not in row("pixels")
+
+
+def test_a_rescue_without_rows_of_objects_has_a_table_of_evidence(finished):
+    scene = scenes.coffee()
+    cup = scene.object("cup")
+    (finished / "given.json").write_text(scene.to_json())
+    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.03, "refused": ""}
+    _align(finished, {"cup": _place("none", "it is hidden", depth=depth)}, masks_iou={})
+    words = _photograph(finished)
+    assert "object contour depth mask cup not used: it is hidden" in words
+    assert f"puts it 30 mm above {cup.parent} none" in words
+
+
+def test_the_camera_is_shown_with_its_sources_and_the_picture_of_depth(finished):
+    camera = {
+        "pitch": {"value": 0.5, "deviation": 0.00035, "source": "camera.json"},
+        "roll": {"value": -1e-6, "deviation": 1e-6, "source": "camera.json"},
+        "height": {"value": 0.5123, "deviation": 0.0114, "source": EVIL},
+    }
+    _align(finished, {"jar": _place("pixels")}, camera=camera)
+    words = _photograph(finished)
+    assert "pitch 28.65 ° ±0.02 ° camera.json roll 0.00 ° ±0.01 °" in words
+    assert (
+        "height 0.512 m ±0.011 m" in words and "<script" not in write_report(finished).read_text()
+    )
+    assert "Rendered minus measured" not in words
+    (finished / "pictures").mkdir(exist_ok=True)
+    Image.new("RGB", (64, 48), "white").save(finished / "pictures" / "depth.png")
+    assert "gray where nothing is measured" in _photograph(finished)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):

@@ -1,5 +1,6 @@
 """Placement of objects, joints and free fall of `neoworld view`, without a browser."""
 
+import json
 import math
 
 import numpy as np
@@ -11,11 +12,13 @@ from neoworld_mjx.config import Config
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.tiles import creased, piece_meshes, visible_meshes
+from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose, yaw_of
+from neoworld_mjx.spec.scene import PoseUncertainty
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.scene_nodes import FreeFall, part_poses
-from neoworld_mjx.view.scene_viewer import PlacedScene, settable_joints
+from neoworld_mjx.view.scene_viewer import PlacedScene, object_facts, settable_joints
 from neoworld_mjx.view.target import open_target, single_object_scene
 from tests.support import scenes
 
@@ -68,6 +71,28 @@ def test_a_lifted_object_falls_and_a_restart_puts_it_back():
     assert fall.poses()[key].pos[2] < before[key].pos[2] - 0.03
     fall.reset()
     assert np.allclose(fall.poses()[key].pos, before[key].pos)
+
+
+def test_viewer_names_the_evidence_of_an_object(tmp_path):
+    scene = scenes.coffee()
+    known = PoseUncertainty(along=0.004, across=0.001, yaw=0.03, log_scale=0.02)
+    cup = scene.object("cup").model_copy(update={"uncertainty": known})
+    objects = tuple(cup if item.name == "cup" else item for item in scene.objects)
+    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.0, "refused": ""}
+    change = {"evidence": "none", "reason": "it is hidden", "depth": depth}
+    with RunFolder(tmp_path / "out", Config()) as run, run.step("compose", {}) as stage:
+        (stage / "compose").mkdir()
+        composed = scene.model_copy(update={"objects": objects})
+        (stage / "compose" / "scene.json").write_text(composed.to_json())
+        align = {"objects": {"cup": change}}
+        (stage / "compose" / "align.json").write_text(json.dumps(align))
+    target = open_target(tmp_path / "out", Config())
+    facts = object_facts(target, target.after.object("cup"))
+    assert "contour: not used: it is hidden" in facts
+    assert f"puts it 0 mm above {cup.parent}" in " ".join(facts)
+    assert "known to: along the view ±4 mm, across ±1 mm, heading ±2°, size ±2 %" in facts
+    (tmp_path / "out" / "compose" / "align.json").write_text('{"objects": {"cup": 3}}')
+    assert "unexpected structure" in " ".join(object_facts(target, target.after.object("cup")))
 
 
 def test_meshes_cover_the_object_and_keep_sharp_edges(cabinet):

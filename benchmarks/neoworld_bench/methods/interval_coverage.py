@@ -84,7 +84,7 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
 
     Positions are relative to the support, as the deviations are: a wrong field of view moves the
     whole scene along the view. Objects on walls, of another support than in the ground truth, and
-    headings that symmetry makes meaningless do not count.
+    headings that symmetry makes meaningless or that are stated as not seen do not count.
 
     Args:
         scene: the aligned scene.
@@ -105,7 +105,7 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
         yield "along", abs(float(off @ view)) / known.along
         yield "across", abs(float(off @ [-view[1], view[0]])) / known.across
         turn = heading_deg(same, ends[item.name], begins[item.name])
-        if turn is not None:
+        if turn is not None and known.yaw is not None:
             yield "yaw", math.radians(turn) / known.yaw
         yield "log_scale", abs(math.log(_diagonal(item) / _diagonal(same))) / known.log_scale
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import scene_of_assemblies
+from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import mesh_object, viewpoint
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.rescue import Photographed, rescue
@@ -116,7 +117,7 @@ def disturbed(objects, seed: int):
 def scene_of_meshes(objects):
     """Return an imported scene of meshes at poses; none of them says that it is a support."""
     assemblies = [
-        mesh_object(key, [(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
+        mesh_object(key, [Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces))], pose)
         for key, (mesh, pose) in objects.items()
     ]
     return scene_of_assemblies(Path("scene"), assemblies)

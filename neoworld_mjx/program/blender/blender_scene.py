@@ -221,7 +221,7 @@ def shape_of(solid: Solid, convex: bool) -> tuple[Box | Mesh, Pose] | None:
             'or set obj["convex"] = True if its hull will do'
         )
     else:
-        hulls = convex_pieces(vertices, faces)
+        hulls = convex_pieces(vertices, faces).pieces
     triangles = tuple(map(tuple, faces.tolist()))
     return Mesh(vertices=_rows(vertices), faces=triangles, hulls=tuple(map(_rows, hulls))), pose()
 

@@ -10,6 +10,7 @@ from markupsafe import Markup
 from ...checks.verdict import Check
 from ...measure import object_moves
 from ...spec import read_scene
+from ..evidence_lines import evidence_lines
 from .page import cropped_picture, elements, read_json, size_cm, support_of
 
 TITLE = "Objects"
@@ -35,6 +36,7 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
     metrics = run["metrics"]
     moves, failures = all_moves(folder), scene_failures(metrics)
     agreement = (metrics.get("box_iou") or {}).get("objects", {})
+    aligned = read_json(folder / "compose" / "align.json") or {}
     rows, untested = [], 0
     for name, object_folder in sorted(object_folders.items()):
         verified = read_json(object_folder / "verify.json")
@@ -42,10 +44,12 @@ def object_rows(folder: Path, run: Mapping[str, Any], tree: Mapping[str, Any]) -
         if name in failures:
             passed = False
         node = nodes.get(name, {})
+        support = node.get("parent") or "the world"
+        evidence = evidence_lines(aligned, agreement.get(name, {}), name, support)
         row = elements.object_row(
             name,
             _pictures(folder, node, tree.get("camera")),
-            _facts(node, moves.get(name, {}), agreement.get(name, {}), failures.get(name, [])),
+            _facts(node, moves.get(name, {}), evidence, failures.get(name, [])),
             passed,
             _checks(object_folder, verified),
         )
@@ -125,26 +129,17 @@ def _change(distance_m: float, size_ratio: float, yaw_deg: float, turn_deg: floa
 def _facts(
     node: Mapping[str, Any],
     moves: Mapping[str, str],
-    agreement: Mapping[str, Any],
+    evidence: Mapping[str, str],
     failures: list[str],
 ) -> list[tuple[str, object]]:
-    """Return labeled facts about an object: failed checks, results of steps, overlap of boxes."""
+    """Return labeled facts about an object: failed checks, results of steps, evidence."""
     facts: list[tuple[str, object]] = []
     if failures:
         facts.append(("not valid", elements.span("; ".join(failures), "bad")))
     if node:
         size = size_cm(node["box3d"]["size"])
         facts.append(("parse", f"{node['label']}, {support_of(dict(node))}, {size} cm"))
-    facts += moves.items()
-    steps = {"parsed": "parsed cuboid", "composed": "composed", "refined": "refined"}
-    overlaps = [
-        f"{label} {agreement[step]:.2f}"
-        for step, label in steps.items()
-        if agreement.get(step) is not None
-    ]
-    if overlaps:
-        facts.append(("box IoU", ", ".join(overlaps)))
-    return facts
+    return [*facts, *moves.items(), *evidence.items()]
 
 
 def _pictures(folder: Path, node: Mapping[str, Any], camera: Any) -> list[Markup]:

@@ -6,9 +6,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ...estimate.priors import YAW
 from ...measure import object_moves
 from ...spec import read_scene
+from ..evidence_lines import CONTOUR, DEPTH, MASK, deviation_phrase, digits_of, evidence_lines
 from .page import elements, picture, read_json
 
 TITLE = "The photograph"
@@ -25,9 +25,6 @@ CHECKED = (
     "penetration and for motion in free fall (below). The individual objects were not checked: no "
     "object test ran, and shapes, masses and friction are as given or assumed (see the notes)."
 )
-UNSEEN = 0.9
-"""Ratio of a heading's standard deviation to that of its prior at and above which the photograph
-counts as not showing the heading."""
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
 """Words for the values of `evidence` in align.json, which determined the pose of an object."""
 _SCENES = ("composed", "aligned")
@@ -35,6 +32,10 @@ _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, gr
 _EVIDENCE = (
     "Pixels of the aligned scene: green where pixels of an object look like the object, red where "
     "they look like the background, and blue where pixels around the object look like the object"
+)
+_DEPTH = (
+    "Rendered minus measured distance along each pixel's ray: red where the aligned scene is "
+    "farther than the depth image, blue where it is nearer, gray where nothing is measured"
 )
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
@@ -56,6 +57,7 @@ def photograph_section(folder: Path) -> Markup:
         note = "Nothing was aligned: the scene has no camera or no movable object."
         return elements.section(TITLE, elements.missing(note))
     outlines = aligned.get("outlines_px") or {}
+    depth_png = folder / "pictures" / "depth.png"
     heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %"]
     heads += ["#outline off, composed, px", "#aligned, px"] if outlines else []
     heads += ["known to"]
@@ -65,13 +67,41 @@ def photograph_section(folder: Path) -> Markup:
             "pictures",
             picture(folder / "pictures" / "outlines.png", _CAPTION),
             picture(folder / "pictures" / "evidence.png", _EVIDENCE) if outlines else "",
+            picture(depth_png, _DEPTH) if depth_png.is_file() else "",
         ),
         elements.paragraph(_camera(aligned)),
+        *_camera_sources(aligned),
         elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
         elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
+        *(_evidence(folder, aligned) if (folder / GIVEN).is_file() else ()),
         *_openings(objects),
         *_dimensions(aligned),
     )
+
+
+def _evidence(folder: Path, aligned: dict[str, Any]) -> list[Markup]:
+    """Return a table of depth and masks for a rescue, whose report has no rows of objects."""
+    supports = {o.name: o.parent or "the world" for o in read_scene(folder / GIVEN).objects}
+    rows = []
+    for name in aligned["objects"]:
+        lines = evidence_lines(aligned, {}, name, supports.get(name, "its support"))
+        rows.append([name, *(lines.get(kind, "none") for kind in (CONTOUR, DEPTH, MASK))])
+    return [elements.table(["object", CONTOUR, DEPTH, MASK], rows)]
+
+
+def _camera_sources(aligned: dict[str, Any]) -> list[Markup]:
+    """Return a table with the camera's parameters, their deviations and their sources."""
+    labels = {"pitch": "pitch", "roll": "roll", "fovy": "vertical field of view"}
+    camera, rows = aligned.get("camera") or {}, []
+    for name, entry in camera.items():
+        unit, factor = ("m", 1.0) if name == "height" else ("°", math.degrees(1.0))
+        digits = 3 if name == "height" else 2
+        value = round(factor * entry["value"], digits) + 0.0  # Adding 0.0 turns -0.0 into 0.0.
+        deviation = max(factor * entry["deviation"], 10.0**-digits)
+        texts = [f"{value:.{digits}f} {unit}", f"±{deviation:.{digits}f} {unit}"]
+        rows.append([labels.get(name, name), *texts, entry["source"]])
+    heads = ["camera", "#value", "#standard deviation", "known by"]
+    return [elements.table(heads, rows)] if rows else []
 
 
 def _openings(objects: dict[str, Any]) -> list[Markup]:
@@ -106,39 +136,20 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
     """Return the cells of an object; the standard deviation of a change determines its digits."""
     deviations = change["uncertainty"]
     along, across = 1000 * deviations["along"], 1000 * deviations["across"]
-    heading, size = math.degrees(deviations["yaw"]), 100 * deviations["log_scale"]
+    heading, size = math.degrees(deviations["yaw"] or 0.0), 100 * deviations["log_scale"]
     # An object on a wall moves only in the plane of the wall, so its distance has no deviation.
-    on_wall = along == 0
+    least = min(along, across) if along else across
     shift_mm = 1000 * math.hypot(*change["shift_m"])
     source = _SOURCES[change["evidence"]]
-    if on_wall:
-        deviation_texts = [f"along the wall {_deviation(across)} mm"]
-    else:
-        unseen = deviations["yaw"] >= UNSEEN * YAW
-        deviation_texts = [
-            f"along the view {_deviation(along)} mm",
-            f"across {_deviation(across)} mm",
-            "heading not seen" if unseen else f"heading {_deviation(heading)}°",
-        ]
-    deviation_texts.append(f"size {_deviation(size)} %")
     return [
         name,
         f"{source}: {change['reason']}" if change["reason"] else source,
-        f"{shift_mm:.{_digits(across if on_wall else min(along, across))}f}",
-        _signed(change["yaw_deg"], _digits(heading)),
-        _signed(100 * (change["size_ratio"] - 1), _digits(size)),
+        f"{shift_mm:.{digits_of(least)}f}",
+        _signed(change["yaw_deg"], digits_of(heading)),
+        _signed(100 * (change["size_ratio"] - 1), digits_of(size)),
         *(_outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
-        ", ".join(deviation_texts),
+        deviation_phrase(deviations),
     ]
-
-
-def _digits(deviation: float) -> int:
-    """Return the number of decimals to show for a value with the given standard deviation."""
-    return 0 if deviation >= 0.95 else 1
-
-
-def _deviation(value: float) -> str:
-    return f"±{max(value, 0.1):.{_digits(value)}f}"
 
 
 def _signed(value: float, digits: int) -> str:

@@ -1,0 +1,112 @@
+"""Agreement of a scene with depth image and masks: a picture of residuals, and overlaps."""
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ..evidence.depth_image import DepthImage
+from ..evidence.masks import Masks
+from ..spec import SceneSpec
+from .colors import overlap
+from .depth_rows import LEAST_PIXELS, measured_depth, pixel_rays
+from .rasterize import DrawnObjects, draw_scene
+
+WIDTH_PX = 640
+"""Width of the image in which residuals are drawn [px]."""
+FARTHER, NEARER, ZERO = (200.0, 30.0, 30.0), (30.0, 70.0, 210.0), (250.0, 250.0, 250.0)
+"""Colors (sRGB) of surfaces rendered farther than measured, rendered nearer, and of no residual."""
+SCALES_MM = (10, 20, 50, 100, 200, 500)
+"""Residuals at which a color is saturated [mm]; the first that exceeds most residuals is used."""
+MOST = 0.9
+"""Share of the residuals that the scale covers."""
+LEGEND_PX, FONT_PX = 30, 13
+GRAY, DARK = 0.25, 100.0
+"""Share of the photograph's brightness where nothing is measured, and its darkest value."""
+
+
+def depth_residuals(
+    depth: DepthImage, drawn: DrawnObjects, scene: SceneSpec
+) -> Float[np.ndarray, "row column"]:
+    """Return rendered minus measured distance along each pixel's ray [m]; NaN where unknown.
+
+    Scale and shift of a monocular depth image are fitted to the rendering.
+
+    Args:
+        depth: the depth image.
+        drawn: the rendered scene.
+        scene: the scene, with a camera.
+    """
+    assert scene.camera is not None
+    height, width = drawn.owner.shape
+    image = depth.resized(height, width)
+    rendered = np.where(np.isfinite(drawn.depth), drawn.depth, np.nan)
+    if np.isfinite(rendered + image.values).sum() < LEAST_PIXELS:
+        return np.full((height, width), np.nan)
+    stretch = np.linalg.norm(pixel_rays(scene.camera, width, height), axis=-1)
+    return (rendered - measured_depth(image, drawn).depth) * stretch
+
+
+def depth_picture(
+    scene: SceneSpec, depth: DepthImage, photo: UInt8[np.ndarray, "row column 3"]
+) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Draw the residual of every measured pixel in diverging colors, with their scale in mm.
+
+    Surfaces rendered farther than measured are red, nearer ones blue. Pixels without a measured or
+    a rendered depth are gray. Dark lines are the outlines of the rendered objects.
+
+    Args:
+        scene: the scene, with a camera.
+        depth: the depth image.
+        photo: the photograph (sRGB), at any size of the camera's aspect ratio.
+    """
+    assert scene.camera is not None
+    drawn = draw_scene(scene, scene.camera, WIDTH_PX)
+    residual = 1000 * depth_residuals(depth, drawn, scene)
+    known = np.isfinite(residual)
+    typical = float(np.quantile(np.abs(residual[known]), MOST)) if known.any() else 0.0
+    scale = next((mm for mm in SCALES_MM if mm >= typical), SCALES_MM[-1])
+    height, width = residual.shape
+    gray = Image.fromarray(photo).convert("L").resize((width, height))
+    picture = np.repeat((DARK + GRAY * np.asarray(gray, float))[..., None], 3, axis=2)
+    picture[known] = _diverging(residual[known] / scale)
+    edge = np.zeros(drawn.owner.shape, bool)
+    edge[:, 1:] |= drawn.owner[:, 1:] != drawn.owner[:, :-1]
+    edge[1:] |= drawn.owner[1:] != drawn.owner[:-1]
+    picture[edge] *= 0.5
+    joined = np.concatenate([picture, _legend(scale, width)])
+    return np.clip(joined + 0.5, 0, 255).astype(np.uint8)
+
+
+def _diverging(share: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
+    """Return the colors of residuals relative to the scale, clipped to -1 .. 1."""
+    strength = np.clip(np.abs(share), 0, 1)[..., None]
+    end = np.where(share[..., None] > 0, np.array(FARTHER), np.array(NEARER))
+    return strength * end + (1 - strength) * np.array(ZERO)
+
+
+def _legend(scale_mm: int, width: int) -> Float[np.ndarray, "row column 3"]:
+    """Return a bar with the colors between the two ends of the scale, which are written on it."""
+    bar = np.repeat(_diverging(np.linspace(-1, 1, width))[None], LEGEND_PX, axis=0)
+    image = Image.fromarray(bar.astype(np.uint8))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(FONT_PX)
+    ends = {"lm": (6, f"-{scale_mm} mm: rendered nearer than measured"), "mm": (width / 2, "0")}
+    ends["rm"] = (width - 6, f"+{scale_mm} mm: rendered farther")
+    for anchor, (x, text) in ends.items():
+        ink = (0, 0, 0) if anchor == "mm" else (255, 255, 255)
+        draw.text((x, LEGEND_PX / 2), text, ink, font, anchor=anchor)
+    return np.asarray(image, float)
+
+
+def mask_overlaps(scene: SceneSpec, masks: Masks) -> dict[str, float]:
+    """Return the IoU of each object's visible pixels with its mask; without masks, none.
+
+    Args:
+        scene: the scene, with a camera.
+        masks: the masks, by the names of the objects.
+    """
+    assert scene.camera is not None
+    owner = draw_scene(scene, scene.camera, WIDTH_PX).owner
+    names = [item.name for item in scene.objects]
+    return {
+        names[k]: overlap(mask, owner == k) for k, mask in masks.at(names, *owner.shape).items()
+    }

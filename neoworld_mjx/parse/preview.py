@@ -1,0 +1,119 @@
+"""Preview of a reasoner's response before it is given: 3D boxes on the photograph, and numbers.
+
+The response may be a whole scene, or the changes that answer a request for corrections. It is
+checked and fitted as Step 1 does, so the preview shows what the run would find.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config import ParseOptions
+from ..errors import SpecError
+from ..estimate.projection import expected_box
+from ..estimate.tree_checks import agreement
+from ..evidence.known_camera import KnownCamera
+from ..mllm import Picture
+from ..mllm.panel import run_coroutine
+from ..mllm.requests import InvalidResponse, read_response
+from ..spec import SceneTree, TreeNode
+from .draw import draw_parse
+from .parse import SceneAttempt, fit_and_check
+from .photo import Photo
+from .prompts import REPAIR_PROMPT
+from .schema import ParsedScene, SceneCorrection
+
+
+class Preview(NamedTuple):
+    """What Step 1 makes of a response."""
+
+    picture: Picture
+    """The photograph with 2D and 3D boxes; the 3D boxes are those of the response."""
+    objects: list[dict[str, object]]
+    """For each object, the 2D box and the box of the projected 3D box [px], their agreement, the
+    gap above the support [m], and the changes by the fit."""
+    issues: list[str]
+    """Issues that remain after the fit, one line each. A run asks for corrections of the errors."""
+
+
+def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None = None) -> Preview:
+    """Draw and check a response to a request for a scene or for corrections of a scene.
+
+    Args:
+        photo: the photograph. Numbers are in pixels of its resized picture, as in the request.
+        text: the response.
+        prompt: the request's prompt, which contains the scene that a correction changes.
+        known: what is known of the camera.
+
+    Raises:
+        SpecError: the response is invalid, or gives no scene.
+    """
+    attempt = run_coroutine(
+        fit_and_check(photo, _scene(photo, text, prompt), ParseOptions(), known)
+    )
+    if attempt.response_tree is None:
+        raise SpecError(f"the response gives no scene: {attempt.broken}")
+    tree = attempt.response_tree
+    return Preview(
+        draw_parse(photo, tree, draw_3d_boxes=True),
+        [dict(_numbers(attempt, tree, node, photo.scale)) for node in tree.nodes],
+        [f"{issue.severity}: {issue.phrase()}" for issue in attempt.checks],
+    )
+
+
+def number_lines(objects: list[dict[str, object]], issues: list[str]) -> list[str]:
+    """Return the numbers of a preview as lines of text."""
+    rows = []
+    for entry in objects:
+        texts = [f"{key} {_text(value)}" for key, value in entry.items() if key != "name"]
+        rows.append(f"{entry['name']}: {'; '.join(texts)}")
+    return [*rows, *(issues or ["no issues"])]
+
+
+def _scene(photo: Photo, text: str, prompt: str) -> ParsedScene:
+    """Return the scene of a response; a correction is applied to the scene in the prompt."""
+    _, corrects, rest = prompt.partition(REPAIR_PROMPT.partition("{ask}")[2].partition("{")[0])
+    try:
+        if not corrects:
+            return read_response(text, ParsedScene)
+        earlier, _ = json.JSONDecoder().raw_decode(rest)
+        scene = ParsedScene.model_validate_json(json.dumps(earlier))
+        return read_response(text, SceneCorrection).applied(scene, photo.size)
+    except (InvalidResponse, ValueError) as error:
+        raise SpecError(f"the response is invalid: {error}") from None
+
+
+def _numbers(
+    attempt: SceneAttempt, tree: SceneTree, node: TreeNode, scale: float
+) -> Iterator[tuple[str, object]]:
+    projected = expected_box(tree.camera, node)
+    yield "name", node.name
+    yield "box", _pixels(node.box2d.as_tuple(), scale)
+    if projected is None:
+        yield "3D box", "outside the picture"
+    else:
+        yield "3D box", _pixels(projected, scale)
+    if not node.environment:
+        yield "agreement", round(agreement(tree, node), 2)
+    if node.parent is not None and node.relation == "on":
+        box = tree.node(node.parent).box3d
+        yield "gap_m", round(node.box3d.position[2] - box.position[2] - box.size[2], 3)
+    change = None if attempt.fit is None else attempt.fit.objects.get(node.name)
+    if change is not None and not node.environment:
+        if change.refused:
+            yield "fit", f"refused: {change.refused}"
+            return
+        yield "fit_moves_m", round(change.distance_m, 3)
+        yield "fit_scales", [round(ratio, 2) for ratio in change.size_ratio]
+        yield "fit_agreement", round(change.agreement_after, 2)
+
+
+def _pixels(box: Sequence[float] | NDArray, scale: float) -> list[int]:
+    return np.round(np.asarray(box) * scale).astype(int).tolist()
+
+
+def _text(value: object) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)

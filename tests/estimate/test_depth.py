@@ -1,0 +1,214 @@
+"""Depth images and masks as evidence of the alignment of rendered scenes."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import AlignOptions
+from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.depth_rows import SceneDepth, measured_depth
+from neoworld_mjx.estimate.depth_start import place_by_depth, support_plane, with_measured_supports
+from neoworld_mjx.estimate.unknowns import STEP, Unknowns
+from neoworld_mjx.evidence.depth_image import DepthImage
+from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.known_camera import KnownCamera
+from neoworld_mjx.evidence.masks import Masks
+from neoworld_mjx.spec import SceneObject, world_poses
+from tests.estimate import desk
+
+DISPLACED = {
+    "box": (40.0, 0.0, 3.0, 5.0),
+    "can": (30.0, 10.4, 0.0, 3.0),
+    "brick": (50.0, -10.4, -3.0, 4.0),
+    "ball": (35.0, 12.0, 0.0, 2.0),
+    "tower": (45.0, -12.0, 3.0, 5.0),
+}
+"""All of them too far and too large: what a photograph alone does not tell."""
+KNOWN = KnownCamera(size=(640, 480), focal=desk.CAMERA.focal)
+
+
+def depth_of(scene, width=640):
+    values = desk.drawn(scene, width).depth
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def noisy(scene, seed=0):
+    values = depth_of(scene)
+    rng = np.random.default_rng(seed)
+    values = values + rng.normal(size=values.shape) * (0.0015 + 0.002 * values**2)
+    values[rng.random(values.shape) < 0.1] = np.nan
+    return values
+
+
+def depth_at_start(scene, image):
+    unknowns = Unknowns.of(scene, scene.camera, rises=True)
+    now = unknowns.place(np.zeros((1, unknowns.size)))[0]
+    return unknowns, SceneDepth.of(image, None, unknowns, now, unknowns.draw(now, 320))
+
+
+@pytest.fixture(scope="module")
+def wrong(five):
+    return desk.displaced(five, **DISPLACED)
+
+
+@pytest.mark.parametrize("kind", ["metric", "affine", "disparity"])
+def test_depth_of_every_kind_is_read_in_meters(five, kind):
+    true = depth_of(five, 320)
+    values = {"metric": true, "affine": (true - 0.3) / 2.7, "disparity": 3 / true + 0.2}[kind]
+    measured = measured_depth(DepthImage(values, kind), desk.drawn(five, 320))
+    known = np.isfinite(true)
+    assert measured.depth[known] == pytest.approx(true[known], abs=1e-6)
+    assert (measured.derivative is None) == (kind == "metric")
+
+
+def test_derivatives_of_a_disparity_image_match_differences(five):
+    """With respect to its scale and shift."""
+    true = depth_of(five, 320)
+    measured = measured_depth(DepthImage(3 / true + 0.2, "disparity"), desk.drawn(five, 320))
+    known = np.isfinite(true)
+    changed = 1 / (1 / true[known] + 1e-6)
+    slope = (changed - true[known]) / 1e-6
+    assert measured.derivative[known][:, 1] == pytest.approx(slope, rel=1e-4)
+
+
+def test_jacobian_matches_the_change_of_residuals(five):
+    image = DepthImage(depth_of(five, 320))
+    unknowns, depth = depth_at_start(five, image)
+    neighbors = unknowns.neighbors(np.zeros(unknowns.size))
+    for name, column in (("box", 0), ("tower", 3)):
+        k = five.index(name)
+        rows = depth.evidence(neighbors, k, 0.1)
+        pixels = depth.pixels(k)
+        u = unknowns.columns(k).start + column
+        size, local = 1e-4, []
+        for x in (np.zeros(unknowns.size), size * np.eye(unknowns.size)[u]):
+            place = unknowns.place(x[None])[0]
+            row, col = pixels.row, pixels.column
+            depths = depth.drawn.depth[row, col]
+            points = depth.rays[row, col] * depths[:, None] @ depth.now.camera.axes().T
+            body = depth.now.local(k, points + depth.now.camera.position())
+            moved = (place.world(k, body) - place.camera.position()) @ place.camera.axes()
+            local.append(np.sum(moved * pixels.normal, axis=1))
+        slope = (local[1] - local[0]) / size
+        assert rows.jacobian[:, u] == pytest.approx(slope, abs=20 * STEP)
+
+
+def test_objects_come_to_their_measured_places(five, photo, wrong):
+    """Within 4 mm, where the photograph alone leaves them 20 mm too far."""
+    plain = align(wrong, photo, evidence=Evidence(camera=KNOWN))
+    aligned = align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
+    assert max(desk.distances(aligned.scene, five).values()) < 4.0
+    assert max(desk.distances(plain.scene, five).values()) > 15.0
+    outcome = aligned.objects["box"].depth
+    assert outcome.after_m < 0.004 < outcome.before_m and not outcome.refused
+    assert abs(outcome.rise_m) < 0.003
+
+
+def test_depth_narrows_the_uncertainty(five, photo, wrong):
+    plain = align(wrong, photo, evidence=Evidence(camera=KNOWN))
+    aligned = align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
+    for name in DISPLACED:
+        with_depth, without = (s.objects[name].uncertainty for s in (aligned, plain))
+        assert with_depth.along < without.along / 2
+
+
+def test_smooth_errors_of_a_network_do_not_pull_objects_away(five, photo):
+    """A scene that is right stays within 12 mm; scale and shift are not known."""
+    height, width = 480, 640
+    waves = np.sin(np.arange(width) / 60)[None] * np.cos(np.arange(height) / 80)[:, None]
+    values = depth_of(five) * (1 + 0.04 * waves)
+    image = DepthImage((values - 0.3) / 2.7, "affine", smooth_sd=0.03)
+    aligned = align(five, photo, evidence=Evidence(camera=KNOWN, depth=image))
+    assert max(desk.distances(aligned.scene, five).values()) < 12.0
+
+
+def test_plane_of_the_support_gives_pitch_roll_and_height(five):
+    camera = desk.CAMERA.model_copy(update={"pitch": 0.62, "roll": 0.05, "height": 0.6})
+    true = five.model_copy(update={"camera": camera})
+    _, depth = depth_at_start(five, DepthImage(noisy(true)))
+    plane = support_plane(depth)
+    assert plane.pitch == pytest.approx(camera.pitch, abs=math.radians(0.2))
+    assert plane.roll == pytest.approx(camera.roll, abs=math.radians(0.2))
+    assert plane.height == pytest.approx(camera.height, abs=0.004)
+
+
+def test_no_plane_without_a_level_support(five):
+    """A depth image of a wall in front of the camera."""
+    wall = np.full((480, 640), 0.7)
+    _, depth = depth_at_start(five, DepthImage(wall))
+    assert support_plane(depth) is None
+
+
+def test_known_camera_is_kept(five, photo, wrong):
+    """Depth that contradicts a known pitch does not turn the camera."""
+    c = desk.CAMERA
+    known = replace(KNOWN, pitch=c.pitch, roll=c.roll, height=c.height)
+    turned = five.model_copy(update={"camera": c.model_copy(update={"pitch": c.pitch + 0.05})})
+    evidence = Evidence(camera=known, depth=DepthImage(depth_of(turned)))
+    aligned = align(wrong, photo, evidence=evidence)
+    assert aligned.scene.camera.pitch == pytest.approx(c.pitch, abs=0.01)
+    assert aligned.scene.camera.height == pytest.approx(c.height, rel=0.01)
+
+
+def test_height_above_a_missing_support_is_measured(five, photo):
+    """What lies on a book that the scene lacks is 30 mm above the desk."""
+    items = [
+        item.model_copy(update={"z": item.z + 0.03}) if item.name == "brick" else item
+        for item in five.objects
+    ]
+    raised = five.model_copy(update={"objects": tuple(items)})
+    picture = desk.photograph(raised, 640)
+    image = DepthImage(noisy(raised))
+    aligned = align(five, picture, evidence=Evidence(camera=KNOWN, depth=image))
+    assert aligned.objects["brick"].depth.rise_m == pytest.approx(0.03, abs=0.005)
+    assert abs(aligned.objects["tower"].depth.rise_m) < 0.005
+
+
+def test_depth_of_something_else_is_not_taken_for_an_object(five, photo):
+    """A hand in front of the box, which the photograph does not show."""
+    values = depth_of(five)
+    mask = desk.drawn(five, 640).owner == five.index("box")
+    values[mask] = 0.4
+    aligned = align(five, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(values)))
+    assert desk.distances(aligned.scene, five)["box"] < 10.0
+
+
+def test_object_far_off_starts_from_its_box(five):
+    """Drawn where the photograph shows something else, it is found by its 2D box."""
+    moved = desk.displaced(desk.boxed(five), box=(150.0, -120.0, 0.0, 10.0))
+    _, depth = depth_at_start(moved, DepthImage(depth_of(five)))
+    k = moved.index("box")
+    place = place_by_depth(depth, k)
+    world = desk.CAMERA.position() + desk.CAMERA.axes() @ place.origin
+    true = world_poses(five)["box"].pos
+    assert np.linalg.norm((world - true)[:2]) < 0.03
+    assert abs(math.log(place.ratio) + math.log(1.1)) < 0.15
+
+
+def test_wall_moves_to_its_measured_distance(five):
+    wall = desk.block("wall", 0.05, 3.0, 2.0, "white")
+    behind = SceneObject(name="wall", spec=wall, environment=True, xy=(1.6, 0.0), z=-0.5)
+    truth = five.model_copy(update={"objects": (*five.objects, behind)})
+    near = behind.model_copy(update={"xy": (1.45, 0.0)})
+    scene = five.model_copy(update={"objects": (*five.objects, near)})
+    _, depth = depth_at_start(scene, DepthImage(noisy(truth)))
+    moved = with_measured_supports(scene, depth)
+    assert moved.object("wall").xy == pytest.approx((1.6, 0.0), abs=0.01)
+    assert moved.object("desk") == scene.object("desk")
+
+
+def test_masks_replace_colors(five):
+    """A gray photograph shows no contour; masks do."""
+    moves = {"box": (12.0, 0.0, 3.0, 2.0), "brick": (-6.0, -10.4, -3.0, 2.0)}
+    displaced = desk.displaced(five, **moves)
+    gray = np.full((480, 640, 3), 128, np.uint8)
+    owner = desk.drawn(five, 640).owner
+    masks = Masks(owner + 1, {item.name: k + 1 for k, item in enumerate(five.objects)})
+    options = AlignOptions(edges=False)
+    plain = align(displaced, gray, options)
+    masked = align(displaced, gray, options, evidence=Evidence(masks=masks))
+    before, after = (desk.distances(a.scene, five, common=False) for a in (plain, masked))
+    assert before["box"] > 8.0 and after["box"] < 4.0
+    assert masked.objects["box"].evidence == "pixels"
