@@ -15,7 +15,10 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import EngineError, RunError
+from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.masks import Masks
+from neoworld_mjx.evidence.stored import evidence_files
 from neoworld_mjx.measure import measured
 from neoworld_mjx.pipeline import place, reconstruct, refine_again
 from neoworld_mjx.refinement.final_alignment import FinalAlignment
@@ -255,6 +258,26 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     fails = lambda composed, refined, *_, **more: FinalAlignment(refined, failure="singular")
     monkeypatch.setattr(place, "align_final", fails)
     assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)
+
+
+def test_the_final_alignment_gets_depth_and_masks_of_the_run(example_run, tmp_path, monkeypatch):
+    run, given = shutil.copytree(example_run[0], tmp_path / "run"), []
+    scene = read_scene(run / "scene.json")
+    labels = np.zeros((scene.camera.height_px, scene.camera.width), int)
+    x0, y0, x1, y1 = (int(value) for value in scene.object("cup").box2d.as_tuple())
+    labels[y0:y1, x0:x1] = 7
+    known = Evidence(depth=DepthImage(np.ones(labels.shape)), masks=Masks(labels, {"a": 7}))
+    (run / "evidence").mkdir()
+    for name, data in evidence_files(known).items():
+        (run / "evidence" / name).write_bytes(data)
+
+    def again(composed, refined, *_, evidence, **more):
+        given.append(evidence)
+        return FinalAlignment(refined)
+
+    monkeypatch.setattr(place, "align_final", again)
+    refine_again(run, None, {"render": {"width": 96, "supersample": 1}})
+    assert given[0].masks.names == {"cup": 1} and (given[0].depth.values == 1).all()
 
 
 def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):
