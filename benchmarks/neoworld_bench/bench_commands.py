@@ -140,6 +140,7 @@ class BenchCommand:
     """Run benchmarks of methods and engines, and write their data set."""
 
     ends_by_interrupt: ClassVar[bool] = False
+    owns_stdout: ClassVar[bool] = False
 
     task: (
         Annotated[BenchRunCommand, subcommand("run")]
