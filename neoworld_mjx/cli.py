@@ -117,6 +117,7 @@ def run(command: "Command") -> int:
     """Run a parsed command, print its result and return the exit code."""
     from .commands.terminal import details, prompt_interrupts
     from .io.names import printable
+    from .io.text_files import strict_json
 
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
@@ -144,9 +145,7 @@ def run(command: "Command") -> int:
             print(f"error: {printable(str(result['error']))}", file=sys.stderr)
         try:
             if command.json:
-                # NaN and Infinity are not JSON and become null.
-                strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
-                print(json.dumps(strict), file=out)
+                print(json.dumps(strict_json(result)), file=out)
             elif "error" not in result:
                 rest = details(result) if command.verbose else ()
                 print(printable("\n".join([*command.lines(result), *rest])), file=out)

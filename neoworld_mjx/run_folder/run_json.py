@@ -1,7 +1,6 @@
 """run.json: options, versions, steps, metrics and fallbacks of a run; and the result of a run."""
 
 import contextlib
-import json
 import math
 import os
 import platform
@@ -19,6 +18,7 @@ from ..errors import RunError
 from ..io import read_json
 from ..io.files import stays_inside
 from ..io.text_files import validation_message
+from .staging import writes
 
 FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000
@@ -47,6 +47,18 @@ class _Step(BaseModel):
     inputs: dict[str, str]
     outputs: dict[_InsidePath, str]
     edited: list[_InsidePath] = []
+
+
+def _check_outputs(steps: dict[str, _Step]) -> dict[str, _Step]:
+    writers: dict[str, str] = {}
+    for part, entry in steps.items():
+        for name in entry.outputs:
+            if not writes(part, name):
+                raise ValueError(f"{part} does not write {name!r}")
+            if name in writers:
+                raise ValueError(f"both {writers[name]} and {part} list {name!r}")
+            writers[name] = part
+    return steps
 
 
 class _Fallback(BaseModel):
@@ -83,7 +95,7 @@ class _Record(BaseModel):
     error: str = ""
     started: str = ""
     fingerprint: str = ""
-    steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS)]
+    steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS), AfterValidator(_check_outputs)]
     fallbacks: _Entries
     notes: _Entries = []
     config: dict[str, Any] = {}
@@ -138,12 +150,6 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         **{key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps")},
         "notes": earlier.get("notes", []),
     }
-
-
-def strict_json(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values as plain JSON: NumPy scalars become numbers, NaN and Infinity become null."""
-    text = json.dumps(values, default=lambda value: value.item())
-    return json.loads(text, parse_constant=lambda _: None)
 
 
 def versions() -> dict[str, str]:

@@ -58,6 +58,42 @@ def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, mode
                 pass
 
 
+NOT_OUTPUTS = {
+    ".lock": "refine does not write '.lock'",
+    "run.json": "refine does not write 'run.json'",
+    "run.log": "refine does not write 'run.log'",
+    "photo.png": "refine does not write 'photo.png'",
+    "notes.txt": "refine does not write 'notes.txt'",
+    "history/parse/tree.json": "refine does not write",
+    "objects/cup/program.py": "refine does not write",
+    "tree.json": "refine does not write",
+}
+
+
+@pytest.mark.parametrize("name", NOT_OUTPUTS)
+@pytest.mark.parametrize("mode", ["resume", "redo", "overwrite"])
+def test_outputs_that_a_step_does_not_write_are_refused_and_nothing_is_moved(tmp_path, name, mode):
+    """A lock that is moved away would let a second process start in the same folder."""
+    out = _run(tmp_path / "out")
+    (out / name).parent.mkdir(parents=True, exist_ok=True)
+    if not (out / name).exists():
+        (out / name).write_text("mine")
+    data = json.loads((out / "run.json").read_text())
+    data["steps"]["refine"] = {"inputs": {}, "outputs": {name: "0" * 64}}
+    (out / "run.json").write_text(json.dumps(data))
+    before = sorted(out.rglob("*"))
+    with pytest.raises(RunError, match=rf"run\.json is damaged: steps: .*({NOT_OUTPUTS[name]})"):
+        RunFolder(out, Config(), mode, step="refine")
+    assert sorted(out.rglob("*")) == before
+
+
+def test_no_two_steps_share_an_output(tmp_path):
+    step = {"inputs": {}, "outputs": {"tree.json": "0" * 64}}
+    out = _run(tmp_path / "out", steps={"parse": step, "compose": step})
+    with pytest.raises(RunError, match=r"both parse and compose list 'tree\.json'"):
+        RunFolder(out, Config(), "resume")
+
+
 LINKS = [".lock", ".staging", ".run.json.part", ".report.html.part", "pictures", "report.html"]
 
 

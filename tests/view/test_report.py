@@ -78,11 +78,9 @@ def finished(tmp_path):
             result = {"object": "jar", "passed": True, "mass_kg": 0.3, "checks": [fell, pushed]}
             verdict = Verdict.model_validate(result)
             (stage / "objects" / "jar" / "verify.json").write_text(verdict.to_json())
-        with run.step("compose", {}) as stage:
-            assert stage is not None
-            (stage / "scene.json").write_text("{}")
         with run.step("refine", {}) as stage:
             assert stage is not None
+            (stage / "scene.json").write_text("{}")
             (stage / "refine").mkdir()
             _history(stage / "refine" / "history.npz")
         run.fallback("refine", "native", "no GPU here")
