@@ -65,16 +65,15 @@ class CheckCommand(ConfiguredCommand):
         self, scene: "SceneSpec | None", notes: list[str], config: "Config"
     ) -> CommandResult:
         """Check an imported scene or, if it is None, the scene of the target."""
-        from ..config import load_config
         from ..measure import measured, scene_checks, with_displacement
-        from ..run_folder import read_run
+        from ..run_folder import read_run, run_options
         from ..spec import read_scene
 
         spec, options, run = scene or read_scene(self.target), config.refine, None
         if (self.target / "run.json").is_file():
             run = read_run(self.target)
             if self.config is None and not self.set:
-                options = load_config(None, {"refine": run["config"].get("refine", {})}).refine
+                options = run_options(self.target, {}).refine
         measure = measured(spec, options)
         if run is not None:
             measure = with_displacement(measure, run["metrics"].get("displacement"))

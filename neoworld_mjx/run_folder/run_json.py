@@ -1,6 +1,7 @@
 """run.json: options, versions, steps, metrics and fallbacks of a run; and the result of a run."""
 
 import contextlib
+import logging
 import math
 import os
 import platform
@@ -13,11 +14,12 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from ..config import Config
-from ..errors import RunError
-from ..io import read_json
+from ..config import Config, load_config, merged
+from ..errors import ConfigError, RunError
+from ..io import file_bounds, read_json
 from ..io.files import stays_inside
 from ..io.text_files import validation_message
+from ..options import option_values
 from .staging import writes
 
 FORMAT = "neoworld-run/1"
@@ -133,6 +135,53 @@ def read_run(path: Path) -> dict[str, Any]:
             f"{file} is damaged: {reason}; repair it, or start a new run in another folder"
         ) from None
     return _EMPTY_SECTIONS | {"notes": []} | data
+
+
+MAX_STEPS_OF_SEARCH = 20_000_000
+"""Largest number of simulated steps of all candidates that the options of a run folder request."""
+_log = logging.getLogger(__name__)
+
+
+def run_options(folder: Path, over: Mapping[str, Any]) -> Config:
+    """Return the options of a run, which may come from an untrusted source.
+
+    The limits of files are those that are active, never those of the folder. A warning lists the
+    other options that are not the defaults.
+
+    Args:
+        folder: the run folder.
+        over: options that override those of the folder.
+
+    Raises:
+        RunError: the folder is not a run folder.
+        ConfigError: the options are invalid, or request a search of too many steps.
+    """
+    file = Path(folder) / "run.json"
+    data = {key: value for key, value in read_run(folder)["config"].items() if key != "files"}
+    try:
+        config = load_config(None, merged(data, dict(over)))
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}; give options by --config") from None
+    config = config.model_copy(update={"files": file_bounds()})
+    search, rollout = config.refine.cem, config.refine.rollout
+    steps = (
+        search.population * search.iterations * max(1.0, rollout.duration_s / rollout.timestep_s)
+    )
+    if steps > MAX_STEPS_OF_SEARCH:
+        raise ConfigError(
+            f"{file} requests a search of {steps:.3g} simulated steps ({search.iterations} "
+            f"iterations of {search.population} candidates); the limit is "
+            f"{MAX_STEPS_OF_SEARCH:.3g}: give options by --config or --set"
+        )
+    defaults = option_values(load_config(None, dict(over)))
+    applied = [
+        f"{path}={value}"
+        for path, value in option_values(config).items()
+        if value != defaults[path] and path.startswith(("refine.", "compose."))
+    ]
+    if applied:
+        _log.warning("options of %s that apply: %s", file, ", ".join(applied))
+    return config
 
 
 def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:

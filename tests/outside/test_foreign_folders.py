@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import Config, FileOptions
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
 from neoworld_mjx.refinement.objective import import_function
-from neoworld_mjx.run_folder import FORMAT, RunFolder
+from neoworld_mjx.run_folder import FORMAT, RunFolder, run_options
 from neoworld_mjx.view.report.run_report import write_report
 
 
@@ -212,6 +213,11 @@ def test_an_invalid_run_json_is_one_message(tmp_path, text):
             "names a server for models .http://evil.example.*key",
         ),
         ({"refine": 3}, r"run\.json: options: refine"),
+        (
+            {"refine": {"cem": {"iterations": 10_000, "population": 2000}}},
+            r"requests a search of 5e\+09 simulated steps \(10000 iterations of 2000 candidates\); "
+            r"the limit is 2e\+07.*--set",
+        ),
     ],
 )
 def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options, said):
@@ -220,6 +226,19 @@ def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options,
     (out / "compose" / "scene.json").write_text("{}")
     with pytest.raises(ConfigError, match=said):
         refine_again(out)
+
+
+def test_limits_of_a_foreign_run_do_not_apply_and_other_options_are_told(tmp_path, caplog):
+    files = {"memory_mib": 65536, "timeout_s": 80000, "max_file_mib": 16384}
+    options = {"files": files, "refine": {"max_drift_m": 1e-12}, "seed": 3}
+    out = _run(tmp_path / "out", config=options)
+    with bounded_by(FileOptions(timeout_s=3.0)):
+        config = run_options(out, {"refine": {"finalists": 2}})
+    assert config.files == FileOptions(timeout_s=3.0)
+    assert (config.seed, config.refine.finalists, config.refine.max_drift_m) == (3, 2, 1e-12)
+    assert caplog.messages == [
+        f"options of {out / 'run.json'} that apply: refine.max_drift_m=1e-12"
+    ]
 
 
 @pytest.mark.parametrize("name", ["evilmod", "objects.evilmod", "evilmod:f", "objects.evilmod:"])
