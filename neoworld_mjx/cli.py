@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import NeoWorldError, system_refusal
+from .errors import NeoWorldError, mujoco_refusal, system_refusal
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _describe(error: Exception) -> tuple[str, int]:
             "not enough memory: use fewer candidates, a shorter duration or a smaller image",
             BAD_INPUT,
         )
-    if (refusal := system_refusal(error)) is not None:
+    if (refusal := system_refusal(error) or mujoco_refusal(error)) is not None:
         return refusal, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
 

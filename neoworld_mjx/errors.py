@@ -73,6 +73,18 @@ def system_refusal(error: BaseException) -> str | None:
     return f"{path}{error.strerror}"
 
 
+def mujoco_refusal(error: BaseException) -> str | None:
+    """Return a message if MuJoCo gave up on a model (`mujoco.FatalError`), otherwise None."""
+    if (type(error).__module__.split(".")[0], type(error).__name__) != ("mujoco", "FatalError"):
+        return None
+    reason = str(error).partition("\n")[0]
+    return f"MuJoCo cannot simulate this: {reason}; {CROWDED}"
+
+
+CROWDED = "move overlapping objects apart, or use fewer or simpler ones"
+"""Remedy for a scene with more contacts than MuJoCo's memory holds."""
+
+
 def open_files_exhausted(error: BaseException | None) -> bool:
     """Return True if too many open files caused an error, including errors of Rust libraries."""
     number = getattr(error, "errno", None)

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from ..io.names import RESERVED, repeated
-from .base import Name, Point3, Quat, Rotation, ScalableSpec, Vec3, unit_vector
+from .base import Name, Point3, Positive, Rotation, ScalableSpec, Vec3
 from .dimensions import (
     AUTHORED_MASS,
     DERIVED_MASS,
@@ -73,11 +73,6 @@ class GeomSpec(ScalableSpec):
     role: Role = "both"
     """Use of the geom: visible, colliding, or both. Only geoms that collide have mass."""
 
-    @field_validator("quat")
-    @classmethod
-    def _unit(cls, value: Quat) -> Quat:
-        return unit_vector(value, "quat")
-
     def pose(self) -> Pose:
         """Return the shape's pose in the object's frame."""
         return pose(self.pos, self.quat)
@@ -108,7 +103,7 @@ class PartSpec(ScalableSpec):
 
     name: Name
     geoms: tuple[GeomSpec, ...] = Field(min_length=1)
-    mass: Annotated[float, Field(gt=0), UNSCALED] | None = None
+    mass: Annotated[Positive, UNSCALED] | None = None
     """Authored mass [kg], which does not change with scale; if None, the mass is derived from
     volume and density."""
     inertia: AuthoredInertia | None = Field(default=None, exclude_if=lambda value: value is None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..io.names import repeated
-from .base import Length, Name, Number, Quat, Spec, Vec3
+from .base import Length, Meters, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .pose import IDENTITY, from_yaw, rotate
 from .room import RECTANGLE, SupportOutline, SupportSurface
@@ -70,7 +70,7 @@ class Box2D(Spec):
 class Box3D(Spec):
     """An upright box in the world: the bounding box of an object before it is tilted."""
 
-    position: Vec3
+    position: tuple[Meters, Meters, Meters]
     """Center of the bottom face [m]."""
     size: tuple[Length, Length, Length]
     """Edge lengths [m] along the x (front to back), y and z axes of the object."""

@@ -5,6 +5,7 @@ import ctypes
 import io
 import json
 import os
+import re
 import resource
 import struct
 import time
@@ -19,7 +20,7 @@ import numpy as np
 import pytest
 from arro3.core import Array, RecordBatch, Table
 from PIL import Image
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from neoworld_mjx.config import FileOptions, load_config
 from neoworld_mjx.errors import NeoWorldError, PhotoError, RunError, SpecError
@@ -28,7 +29,17 @@ from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.io.parquet_files import read_rows, write_rows
 from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.spec import (
+    Box,
+    GeomSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    SceneObject,
+    SceneSpec,
+)
 from neoworld_mjx.verify.checking import check_object
+from tests.support.mechanisms import single
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
 SMALL = FileOptions(max_file_mib=16, timeout_s=2.0, memory_mib=300)
@@ -251,6 +262,41 @@ def test_a_hostile_mesh_is_refused_with_one_message(tmp_path, name):
     with bounded_by(SMALL), pytest.raises(SpecError) as caught:
         import_file(tmp_path / "a.urdf")
     assert len(str(caught.value)) < 600
+
+
+def crowd(count: int, folder: Path) -> Path:
+    """Write a scene of boxes that all overlap, as `model_copy` makes it, without its checks."""
+    box = single("box", Box(size=(0.1, 0.1, 0.1)))
+    boxes = tuple(SceneObject(name=f"o{k}", spec=box) for k in range(count))
+    scene = SceneSpec(objects=boxes[:1]).model_copy(update={"objects": boxes})
+    (folder / "scene.json").write_text(scene.to_json())
+    return folder / "scene.json"
+
+
+CROWDS = {
+    "too many objects": (501, "500 items"),
+    "too many constraints": (128, "MuJoCo cannot simulate this: mj_stackAlloc.*; move overlapping"),
+    "ignored contacts": (300, "more contacts than MuJoCo's memory holds: move overlapping objects"),
+}
+
+
+@pytest.mark.parametrize("name", CROWDS)
+def test_a_crowded_scene_is_refused_with_one_message(tmp_path, neoworld, name):
+    """Memory that is full makes MuJoCo raise a fatal error, or ignore contacts with a warning."""
+    count, message = CROWDS[name]
+    code, _, error = neoworld("check", crowd(count, tmp_path), "--quiet")
+    assert code == 2 and re.search(message, error), error
+    assert len(error.splitlines()[-1]) < 600
+
+
+def test_a_scene_has_a_limit_of_geoms():
+    geom = GeomSpec(name="g", shape=Box(size=(0.1, 0.1, 0.1)), material="m")
+    geoms = tuple(geom.model_copy(update={"name": f"g{k}"}) for k in range(101))
+    part = PartSpec(name="p", geoms=geoms)
+    spec = ObjectSpec(name="o", materials=(Material(name="m", density=1.0),), parts=(part,))
+    objects = tuple(SceneObject(name=f"o{k}", spec=spec) for k in range(100))
+    with pytest.raises(ValidationError, match="the scene has 10100 geoms; the limit is 10000"):
+        SceneSpec(objects=objects)
 
 
 SPECIAL = ("pipe", "device", "folder", "circle", "missing")
