@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..io.names import RESERVED, repeated
+from ..io.names import RESERVED, UNIQUE, repeated
 from .base import Name, Point3, Positive, Rotation, ScalableSpec, Vec3
 from .dimensions import (
     AUTHORED_MASS,
@@ -230,5 +230,5 @@ def mass_exponent(part: PartSpec) -> float:
 
 def _unique(kind: str, names: list[str]) -> set[str]:
     if twice := repeated(names):
-        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(twice)}")
+        raise ValueError(f"{kind} {UNIQUE}: {', '.join(twice)}")
     return set(names)

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from ..errors import SpecError
 from ..io import read_model
+from ..io.names import UNIQUE, repeated
 from .base import JointKey, Meters, Name, NonNegative, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .kinematics import joint_keys, link_poses
@@ -124,10 +125,10 @@ class SceneSpec(Spec):
         geoms = sum(len(part.geoms) for obj in self.objects for part in obj.spec.parts)
         if geoms > MAX_GEOMS:
             raise ValueError(f"the scene has {geoms} geoms; the limit is {MAX_GEOMS}")
+        if twice := repeated(obj.name for obj in self.objects):
+            raise ValueError(f"object {UNIQUE}: {', '.join(twice)}")
         earlier: dict[str, SceneObject] = {}
         for obj in self.objects:
-            if obj.name in earlier:
-                raise ValueError(f"object names must be unique, repeated: {obj.name}")
             if obj.parent is not None:
                 if obj.parent not in earlier:
                     raise ValueError(f"object {obj.name}: parent {obj.parent!r} must come first")

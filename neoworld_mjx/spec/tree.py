@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..io.names import repeated
+from ..io.names import UNIQUE, repeated
 from .base import Length, Meters, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .pose import IDENTITY, from_yaw, rotate
@@ -187,7 +187,7 @@ class SceneTree(Spec):
     def _hierarchy(self) -> "SceneTree":
         names = [node.name for node in self.nodes]
         if twice := repeated(names):
-            raise ValueError(f"node names must be unique, repeated: {', '.join(twice)}")
+            raise ValueError(f"node {UNIQUE}: {', '.join(twice)}")
         parents = {node.name: node.parent for node in self.nodes}
         for node in self.nodes:
             for field, other in [

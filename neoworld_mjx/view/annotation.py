@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError, choices
-from ..io.names import repeated
+from ..io.names import UNIQUE, repeated
 from ..program.supports import MATERIALS
 from ..spec import Box2D, Camera, Name, PartState, Spec
 from ..spec.base import Length
@@ -67,7 +67,7 @@ class Annotation(Spec):
     def _check_names_and_parents(self) -> "Annotation":
         names = [GROUND, *(obj.name for obj in self.objects)]
         if twice := repeated(names):
-            raise ValueError(f"names must be unique, repeated: {', '.join(twice)}")
+            raise ValueError(f"{UNIQUE}: {', '.join(twice)}")
         for obj in self.objects:
             if obj.parent not in names:
                 raise ValueError(f"object {obj.name}: parent: {choices(obj.parent, names)}")

@@ -10,6 +10,7 @@ from html import escape
 from typing import Any
 
 from ..errors import RunError
+from ..io.names import printable
 
 LOCAL = "127.0.0.1"
 PORT = 8080
@@ -26,7 +27,8 @@ _log = logging.getLogger(__name__)
 
 def message(*lines: str, bad: bool = False) -> str:
     """Return lines of plain text as HTML, in red if `bad`."""
-    paragraphs = "".join(f'<p class="{"bad" if bad else ""}">{escape(line)}</p>' for line in lines)
+    style = "bad" if bad else ""
+    paragraphs = "".join(f'<p class="{style}">{escape(printable(line))}</p>' for line in lines)
     return f'{_STYLE}<div class="nw">{paragraphs}</div>'
 
 
@@ -70,7 +72,7 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
     websockets.asyncio.server.serve = checked_serve
     try:
         with redirect_stdout(io.StringIO()):  # The constructor prints a table.
-            server = LocalServer(host=host, port=chosen_port, label=label, verbose=False)
+            server = LocalServer(host=host, port=chosen_port, label=printable(label), verbose=False)
     finally:
         websockets.asyncio.server.serve = serve
     server.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -37,6 +37,8 @@ from neoworld_mjx.spec import (
     PartSpec,
     SceneObject,
     SceneSpec,
+    read_scene,
+    single_object_scene,
 )
 from neoworld_mjx.verify.checking import check_object
 from tests.support.mechanisms import single
@@ -264,10 +266,76 @@ def test_a_hostile_mesh_is_refused_with_one_message(tmp_path, name):
     assert len(str(caught.value)) < 600
 
 
+BOX_OBJECT = single("box", Box(size=(0.1, 0.1, 0.1)))
+SCENE_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "far up": (lambda s: s["objects"][0].update(z=1e300), "z: .*at most 10 km"),
+    "far away": (lambda s: s["objects"][0].update(xy=[0.0, -2e4]), "xy.1: .*at most 10 km"),
+    "turned": (lambda s: s["objects"][0].update(yaw=1e200), r"yaw: .*at most 1e\+09"),
+    "no rotation": (lambda s: s["objects"][0].update(base_tilt=[0, 0, 0, 0]), "base_tilt: .*zero"),
+    "huge rotation": (
+        lambda s: s["objects"][0].update(base_tilt=[1e200, 0, 0, 0]),
+        r"base_tilt.0: .*at most 1e\+09",
+    ),
+    "no rotation of a shape": (lambda s: geom_of(s).update(quat=[0, 0, 0, 0]), "quat: .*zero"),
+    "huge shape": (lambda s: geom_of(s)["shape"].update(size=[1e300, 1, 1]), "at most 10 km"),
+    "infinite mass": (
+        lambda s: s["objects"][0]["spec"]["parts"][0].update(mass=float("inf")),
+        r"mass: .*at most 1e\+09",
+    ),
+    "gravity": (lambda s: s.update(gravity=[0, 0, -1e30]), r"gravity.2: .*at most 1e\+09"),
+    "CUP and cup": (
+        lambda s: s["objects"].append(s["objects"][0] | {"name": "BOX"}),
+        "object names must be unique, ignoring case; repeated: BOX, box",
+    ),
+    "parts p and P": (
+        lambda s: s["objects"][0]["spec"].update(
+            parts=[
+                s["objects"][0]["spec"]["parts"][0] | {"name": name, "geoms": [geom_of(s) | {"name": name * 2}]}
+                for name in "pP"
+            ]
+        ),
+        "part names must be unique, ignoring case; repeated: P, p",
+    ),
+    "materials": (
+        lambda s: s["objects"][0]["spec"]["materials"].append(
+            s["objects"][0]["spec"]["materials"][0] | {"name": "WOOD"}
+        ),
+        "material names must be unique, ignoring case",
+    ),
+}  # fmt: skip
+
+
+def geom_of(scene: dict[str, Any]) -> dict[str, Any]:
+    return scene["objects"][0]["spec"]["parts"][0]["geoms"][0]
+
+
+@pytest.mark.parametrize("name", SCENE_EDITS)
+def test_numbers_and_names_of_a_scene_are_bounded(tmp_path, name):
+    """Numbers that formats cannot hold, and files that are one on disks that ignore case."""
+    edit, message = SCENE_EDITS[name]
+    scene = json.loads(single_object_scene(BOX_OBJECT).to_json())
+    edit(scene)
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    refused(tmp_path / "scene.json", read_scene, message)
+
+
+def test_a_rotation_is_normalized_when_it_is_read():
+    item = SceneObject(name="o", spec=BOX_OBJECT, base_tilt=(2.0, 0.0, 0.0, 2.0))
+    assert item.base_tilt == pytest.approx((0.5**0.5, 0.0, 0.0, 0.5**0.5))
+
+
+def test_an_import_renames_links_that_differ_only_in_case(tmp_path):
+    joint = "<joint name='j' type='fixed'><parent link='p'/><child link='P'/></joint>"
+    (tmp_path / "a.urdf").write_text(
+        urdf(f"<link name='p'>{BOX}</link><link name='P'>{BOX}</link>", joint)
+    )
+    names = [part.name for part in import_file(tmp_path / "a.urdf").spec.parts]
+    assert sorted(map(str.lower, names)) == ["p", "p_1"]
+
+
 def crowd(count: int, folder: Path) -> Path:
     """Write a scene of boxes that all overlap, as `model_copy` makes it, without its checks."""
-    box = single("box", Box(size=(0.1, 0.1, 0.1)))
-    boxes = tuple(SceneObject(name=f"o{k}", spec=box) for k in range(count))
+    boxes = tuple(SceneObject(name=f"o{k}", spec=BOX_OBJECT) for k in range(count))
     scene = SceneSpec(objects=boxes[:1]).model_copy(update={"objects": boxes})
     (folder / "scene.json").write_text(scene.to_json())
     return folder / "scene.json"
