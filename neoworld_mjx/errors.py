@@ -57,12 +57,24 @@ _REFUSALS = _OPEN_FILES | {
 }
 
 
-def system_refusal(error: BaseException) -> str | None:
-    """Return a message if the operating system refused an operation, otherwise None.
+_MESSAGES = {
+    "environment variable MUJOCO_GL": "MuJoCo accepts no such value of MUJOCO_GL; unset it",
+    "can't start new thread": "the system starts no more threads; raise the limit (ulimit -u, -v)",
+    "failed to map segment": "not enough memory to load a library; raise the limit (ulimit -v)",
+    "annot allocate memory": "not enough memory to load a library; raise the limit (ulimit -v)",
+}
+"""Messages for errors of libraries that the environment causes, by a part of their text."""
 
-    Such refusals are not bugs of the package. They are due to invalid file names, missing
-    permissions, full or failing disks, and limits of the system.
+
+def system_refusal(error: BaseException) -> str | None:
+    """Return a message if the system or its environment caused an error, otherwise None.
+
+    Such errors are not bugs of the package. They are due to invalid file names, missing
+    permissions, full or failing disks, limits of the system, and environment variables.
     """
+    for text, refusal in _MESSAGES.items():
+        if isinstance(error, RuntimeError | ImportError) and text in str(error):
+            return refusal
     if open_files_exhausted(error):
         return f"{os.strerror(errno.EMFILE)}; raise the limit, such as with ulimit -n 4096"
     if isinstance(error, OSError) and error.errno == errno.ENOENT and error.filename is None:

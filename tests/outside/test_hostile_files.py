@@ -8,6 +8,8 @@ import os
 import re
 import resource
 import struct
+import subprocess
+import sys
 import time
 import zipfile
 import zlib
@@ -288,12 +290,7 @@ SCENE_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         "object names must be unique, ignoring case; repeated: BOX, box",
     ),
     "parts p and P": (
-        lambda s: s["objects"][0]["spec"].update(
-            parts=[
-                s["objects"][0]["spec"]["parts"][0] | {"name": name, "geoms": [geom_of(s) | {"name": name * 2}]}
-                for name in "pP"
-            ]
-        ),
+        lambda s: s["objects"][0]["spec"].update(parts=[part_of(s, "p"), part_of(s, "P")]),
         "part names must be unique, ignoring case; repeated: P, p",
     ),
     "materials": (
@@ -307,6 +304,11 @@ SCENE_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 
 def geom_of(scene: dict[str, Any]) -> dict[str, Any]:
     return scene["objects"][0]["spec"]["parts"][0]["geoms"][0]
+
+
+def part_of(scene: dict[str, Any], name: str) -> dict[str, Any]:
+    part = scene["objects"][0]["spec"]["parts"][0]
+    return part | {"name": name, "geoms": [geom_of(scene) | {"name": name * 2}]}
 
 
 @pytest.mark.parametrize("name", SCENE_EDITS)
@@ -546,3 +548,22 @@ def cpu_limit(path):
 def test_a_reader_has_the_limit_of_processor_time(tmp_path):
     with bounded_by(FileOptions(timeout_s=1.5)):
         assert call_limited(cpu_limit, tmp_path) == (2, 3)
+
+
+def limits(path):
+    return [resource.getrlimit(kind)[1] for kind in (resource.RLIMIT_FSIZE, resource.RLIMIT_CPU)]
+
+
+def test_a_reader_works_below_lower_limits_of_the_shell():
+    code = """
+import resource, sys
+sys.dont_write_bytecode = True
+from pathlib import Path
+from neoworld_mjx.io.limited_worker import call_limited
+from tests.outside.test_hostile_files import limits
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+print(call_limited(limits, Path("a")))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[4096, 9]", done.stderr
