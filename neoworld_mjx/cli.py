@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import NeoWorldError, mujoco_refusal, system_refusal
+from .errors import expected_message
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -161,15 +161,8 @@ def run(command: "Command") -> int:
 
 def _describe(error: Exception) -> tuple[str, int]:
     """Return the message and the exit code for an error."""
-    if isinstance(error, NeoWorldError):
-        return str(error), BAD_INPUT
-    if isinstance(error, MemoryError):
-        return (
-            "not enough memory: use fewer candidates, a shorter duration or a smaller image",
-            BAD_INPUT,
-        )
-    if (refusal := system_refusal(error) or mujoco_refusal(error)) is not None:
-        return refusal, BAD_INPUT
+    if (message := expected_message(error)) is not None:
+        return message, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
 
 

@@ -50,6 +50,15 @@ class RunError(NeoWorldError):
     """Raised if a run folder is in use, incomplete, not writable, or from another program."""
 
 
+def expected_message(error: BaseException) -> str | None:
+    """Return the message of an error that the input or the system caused, otherwise None."""
+    if isinstance(error, NeoWorldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory: use fewer candidates, a shorter duration or a smaller image"
+    return system_refusal(error) or mujoco_refusal(error)
+
+
 _OPEN_FILES = {errno.EMFILE, errno.ENFILE}
 _REFUSALS = _OPEN_FILES | {
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS),

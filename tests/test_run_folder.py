@@ -238,6 +238,14 @@ def test_a_failed_step_leaves_no_file_and_sets_the_status(tmp_path):
     assert _two_steps(out, "resume") == ["parse", "compose"]
 
 
+def test_a_run_in_a_thread_that_ctrl_c_ends_is_interrupted(tmp_path):
+    """The thread of a page gets a RuntimeError from executors when the interpreter ends."""
+    with pytest.raises(RuntimeError), RunFolder(tmp_path / "out", Config()):
+        raise RuntimeError("cannot schedule new futures after interpreter shutdown")
+    data = read_run(tmp_path / "out")
+    assert (data["status"], data["error"]) == ("interrupted", "KeyboardInterrupt")
+
+
 def test_unknown_steps_list_the_choices(tmp_path):
     with pytest.raises(RunError, match="did you mean 'refine'"):
         RunFolder(tmp_path / "out", Config(), "redo", step="refin")

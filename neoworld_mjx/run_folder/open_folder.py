@@ -184,10 +184,13 @@ class RunFolder:
                 self.save()
                 self._run_log.note(logging.INFO, f"run: {self.data['status']}")
                 return
-            interrupted = isinstance(error, KeyboardInterrupt)
+            # A run in a thread gets a RuntimeError if Ctrl-C ends the interpreter.
+            ended = isinstance(error, RuntimeError) and "shutdown" in str(error)
+            interrupted = isinstance(error, KeyboardInterrupt) or ended
             self.data["status"] = "interrupted" if interrupted else "failed"
             expected = isinstance(error, NeoWorldError)
-            self.data["error"] = str(error) if expected else type(error).__name__
+            cause = "KeyboardInterrupt" if interrupted else type(error).__name__
+            self.data["error"] = str(error) if expected else cause
             self._run_log.note(logging.ERROR, f"run: {self.data['status']}: {self.data['error']}")
             with contextlib.suppress(RunError):  # Report the first error.
                 self.save()

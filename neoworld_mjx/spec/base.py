@@ -5,9 +5,24 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from ..io.names import RESERVED
 from .dimensions import LENGTH, NO_JOINT, UNSCALED, Motion, Scaling, declared_scaling
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=48)]
+
+
+def check_unreserved(name: str) -> str:
+    """Return a name.
+
+    Raises:
+        ValueError: MuJoCo reserves the name.
+    """
+    if name in RESERVED:
+        raise ValueError(f"MuJoCo reserves {name!r}, choose another name")
+    return name
+
+
+ObjectName = Annotated[Name, AfterValidator(check_unreserved)]
 JointKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[xyz])?$", max_length=50)]
 """Key of a joint value: the name of a joint or, for a ball joint, NAME.x, NAME.y or NAME.z."""
 MAX_LENGTH_M, MAX_NUMBER = 1e4, 1e9

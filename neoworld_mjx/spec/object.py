@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..io.names import RESERVED, UNIQUE, repeated
-from .base import Name, Point3, Positive, Rotation, ScalableSpec, Vec3
+from ..io.names import UNIQUE, repeated
+from .base import Name, ObjectName, Point3, Positive, Rotation, ScalableSpec, Vec3
 from .dimensions import (
     AUTHORED_MASS,
     DERIVED_MASS,
@@ -128,7 +128,7 @@ class Site(ScalableSpec):
 class ObjectSpec(ScalableSpec):
     """An object: a tree of parts."""
 
-    name: Name
+    name: ObjectName
     label: str = ""
     """Kind of object, in words."""
     materials: tuple[Material, ...]
@@ -138,8 +138,6 @@ class ObjectSpec(ScalableSpec):
 
     @model_validator(mode="after")
     def _tree(self) -> "ObjectSpec":
-        if self.name in RESERVED:
-            raise ValueError(f"name: MuJoCo reserves {self.name!r}, choose another")
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from ..errors import SpecError
 from ..io import read_model
 from ..io.names import UNIQUE, repeated
-from .base import JointKey, Meters, Name, NonNegative, Number, Quat, Spec, Vec3
+from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
@@ -52,7 +52,7 @@ class PoseUncertainty(Spec):
 class SceneObject(Spec):
     """An object, and its pose in the scene."""
 
-    name: Name
+    name: ObjectName
     spec: ObjectSpec
     parent: Name | None = None
     parent_link: Name | None = None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..io.names import UNIQUE, repeated
-from .base import Length, Meters, Name, Number, Quat, Spec, Vec3
+from .base import Length, Meters, Name, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
 from .pose import IDENTITY, from_yaw, rotate
 from .room import RECTANGLE, SupportOutline, SupportSurface
@@ -123,7 +123,7 @@ class Cues(Spec):
 class TreeNode(Spec):
     """One object of the scene."""
 
-    name: Name
+    name: ObjectName
     label: str
     """Kind of object, in a few words."""
     description: str = ""
