@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import CEMOptions, Config, RefineOptions
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.run_folder import RunFolder, read_run
 
@@ -312,3 +312,25 @@ def test_a_full_file_system(tmp_path):
         assert _two_steps(disk / "out", "resume") == ["parse", "compose"]
     finally:
         subprocess.run(["umount", disk], check=True)
+
+
+CHANGED_INPUTS = {
+    "options": (RefineOptions(), RefineOptions(finalists=9)),
+    "nested options": (Config().refine, RefineOptions(cem=CEMOptions(population=9))),
+    "seed": (1, 2),
+    "value": ({"a": [1, None]}, {"a": [1, 0]}),
+    "bytes": (b"a", b"b"),
+}
+
+
+@pytest.mark.parametrize("kind", CHANGED_INPUTS)
+@pytest.mark.parametrize("key", ["options", "seed", "anything"])
+def test_every_input_of_a_step_decides_whether_it_runs_again(tmp_path, kind, key):
+    ran = []
+    for value in (0, 0, 1, 1, 0):
+        with RunFolder(tmp_path / "out", Config(), "resume") as run:
+            inputs = {"before": 1, key: CHANGED_INPUTS[kind][value], "text": "same"}
+            with run.step("parse", inputs) as stage:
+                ran.append(stage is not None)
+            run.finish()
+    assert ran == [True, False, True, False, True]
