@@ -37,14 +37,11 @@ def main(args: Sequence[str] | None = None) -> None:
     # The matrices are so small that BLAS threads mainly wait for one another on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
-    if list(args) == ["--version"]:
-        print(f"neoworld {__version__}")
-        sys.exit(0)
-    if list(args) in (["--help"], ["-h"]):
-        print(help_text())
-        sys.exit(0)
     try:
         code = _run_words(args)
+    except BrokenPipeError:  # The reader of a help text has stopped reading.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        code = 0
     except KeyboardInterrupt:  # Raised while modules are imported.
         print(f"error: {MESSAGE}", file=sys.stderr)
         code = INTERRUPTED
@@ -56,6 +53,10 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def _run_words(args: Sequence[str]) -> int:
     """Run the command that `args` specify and return the exit code; exit if they are invalid."""
+    texts = {"--version": lambda: f"neoworld {__version__}", "--help": help_text, "-h": help_text}
+    if len(args) == 1 and args[0] in texts:
+        print(texts[args[0]](), flush=True)
+        return 0
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)

@@ -123,7 +123,9 @@ def choices(value: str, valid: Iterable[object]) -> str:
     similar name is given.
     """
     names = list(map(str, valid))
-    near = difflib.get_close_matches(value, names, n=1)
+    # A name that lacks only its unit, as sigma_yaw for sigma_yaw_deg, is meant.
+    near = [name for name in names if value and name.startswith(value)]
+    near = near[:1] or difflib.get_close_matches(value, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     if near and len(names) > MAX_CHOICES:
         return f"got {value!r}, which is none of {len(names)} names{hint}"

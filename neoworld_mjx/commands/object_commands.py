@@ -26,7 +26,8 @@ class CheckCommand(ConfiguredCommand):
     """
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF, MJCF or glTF
+    file."""
     fixed_base: bool = False
     """Fix the object's base, and check only its joints."""
     repair: bool = False
@@ -40,17 +41,21 @@ class CheckCommand(ConfiguredCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing import FILES, USD, ImportedScene, import_file
+        from ..export.importing import FILES, USD, Imported, ImportedScene, import_file
+        from ..verify.checking import object_of_file
 
-        suffix = self.target.suffix.lower()
-        imported = import_file(self.target) if suffix in (*FILES, *USD) else None
+        target = self._file()
+        suffix = target.suffix.lower()
+        imported = import_file(target) if suffix in (*FILES, *USD) else None
+        if target.name == "spec.json":
+            imported = Imported(object_of_file(target, config.program), ())
         if isinstance(imported, ImportedScene):
             scene, notes = imported.spec, list(imported.notes)
         elif imported is not None or suffix == ".py":
             from ..verify.checking import check_object
 
             return check_object(
-                self.target,
+                target,
                 config,
                 imported=imported,
                 fixed_base=self.fixed_base,
@@ -60,6 +65,15 @@ class CheckCommand(ConfiguredCommand):
         if self.repair or self.fixed_base or self.out is not None:
             raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
         return self._check_scene(scene, notes, config)
+
+    def _file(self) -> Path:
+        """Return the target or, if it is the folder of an object, the file of the object."""
+        folder = self.target
+        if not any((folder / name).is_file() for name in ("run.json", "scene.json")):
+            for name in ("program.py", "spec.json"):
+                if (folder / name).is_file():
+                    return folder / name
+        return folder
 
     def _check_scene(
         self, scene: "SceneSpec | None", notes: list[str], config: "Config"
@@ -90,7 +104,7 @@ class CheckCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, _listings(self.target, result))
+        return object_check_lines(result, _listings(Path(result["target"]), result))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -72,6 +72,13 @@ def test_stdout_that_cannot_be_written(redirection):
     assert done.stderr.count("\n") == 1, done.stderr
 
 
+@pytest.mark.parametrize("words", ["--help", "--version", "render --help", "doctor --help"])
+def test_a_reader_that_stops_reading_gets_no_traceback(words):
+    command = f"{sys.executable} -m neoworld_mjx.cli {words} | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 LIMITS = {
     "NOFILE": (12, ["Too many open files", "ulimit -n"]),
     "FSIZE": (0, ["File too large", "No usable temporary directory"]),
