@@ -4,6 +4,7 @@ import base64
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -144,7 +145,8 @@ def print_png(material: Material) -> bytes:
     Recent results are cached, because the encoding dominates the time of an export.
     """
     assert material.photo is not None
-    return _print_png(material.photo, material.rgba[:3])
+    photo: Any = material.photo  # Frozen models are hashable.
+    return _print_png(photo, material.rgba[:3])
 
 
 @lru_cache(maxsize=64)
