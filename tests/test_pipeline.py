@@ -15,6 +15,7 @@ from PIL import Image
 
 from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import EngineError, RunError
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import measured
 from neoworld_mjx.pipeline import place, reconstruct, refine_again
 from neoworld_mjx.refinement.final_alignment import FinalAlignment
@@ -234,8 +235,8 @@ def test_refining_again_keeps_the_steps_before(composed, tmp_path, photo):
 def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     example_run, tmp_path, monkeypatch
 ):
-    def again(before, refined, picture, *options, keep):
-        calls.append((before, picture.shape, set(keep)))
+    def again(before, refined, picture, *options, evidence, keep):
+        calls.append((before, evidence, set(keep)))
         cup = refined.object("cup").model_copy(update={"yaw": 0.25})
         objects = [cup if item.name == "cup" else item for item in refined.objects]
         scene = refined.model_copy(update={"objects": tuple(objects)})
@@ -246,12 +247,12 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     run = shutil.copytree(example_run[0], tmp_path / "run")
     small = {"render": {"width": 96, "supersample": 1}}
     refine_again(run, None, small)
-    assert calls[0][0] == read_scene(run / "compose" / "scene.json") and not calls[0][2]
+    assert calls[0] == (read_scene(run / "compose" / "scene.json"), Evidence(), set())
     assert read_scene(run / "scene.json").object("cup").yaw == 0.25
     data = json.loads((run / "run.json").read_text())
     (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
     assert note["step"] == "refine" and note["what"].startswith("1 object") and "cup" in note["why"]
-    fails = lambda composed, refined, *options, keep: FinalAlignment(refined, failure="singular")
+    fails = lambda composed, refined, *_, **more: FinalAlignment(refined, failure="singular")
     monkeypatch.setattr(place, "align_final", fails)
     assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)
 

@@ -17,12 +17,12 @@ from .rows import RowStore, collect, kept_rows, plain
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
-    from .methods.method_runs import RunSettings
+    from .methods.method_runs import run_settings
     from .methods.scene_runs import chosen_scenes, submission_rows
     from .methods.scene_runs import run_scenes as run_methods
     from .tables.scene_figures import scene_summary
 
-    settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
+    settings = run_settings(o, config)
     scenes = chosen_scenes(o.scenes)
     if o.submission is not None:
         rows = collect(submission_rows(scenes, o.submission, settings))
@@ -34,12 +34,12 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
 
 def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
-    from .methods.method_runs import RunSettings
+    from .methods.method_runs import run_settings
     from .tables.task_figures import task_summary
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 
-    settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
+    settings = run_settings(o, config)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
@@ -48,11 +48,11 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
 
 def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
     """Request plans from a model, and execute them."""
-    from .methods.method_runs import RunSettings
+    from .methods.method_runs import run_settings
     from .tasks.catalogue import find_tasks
     from .tasks.model_plans import plan_figures, plan_rows
 
-    settings = RunSettings(o.seed, config.refine, config.compose, o.noise)
+    settings = run_settings(o, config)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store, _panel(o, config, store) as models:
         plan = partial(plan_rows, models, methods=o.method, starts=o.starts, settings=settings)
@@ -64,8 +64,11 @@ def run_coverage(o: suites.Coverage) -> dict[str, Any]:
     """Count the intervals of aligned objects that contain the truth."""
     from .methods.interval_coverage import interval_coverage, interval_rows
     from .methods.scene_runs import chosen_scenes
+    from .noise.known_evidence import check_evidence
 
-    jobs = {name: partial(interval_rows, name, o.starts) for name in chosen_scenes(o.scenes)}
+    check_evidence(o.evidence)
+    rows_of = partial(interval_rows, starts=o.starts, evidence=o.evidence)
+    jobs = {name: partial(rows_of, name) for name in chosen_scenes(o.scenes)}
     with kept_rows(o) as store:
         rows = store.all(jobs)
     return {"n": len(rows), "table": interval_coverage(rows)}
@@ -141,7 +144,7 @@ def run_real_poses(o: suites.RealPoses, config: Config) -> dict[str, Any]:
     if o.data is None or o.runs is None:
         raise ConfigError("real-poses needs DATA, the folder of the data set, and --runs DIR")
     with kept_rows(o, config) as store:
-        views, objects = score_real_views(o.data, o.runs, config.refine, store)
+        views, objects = score_real_views(o.data, o.runs, config, store, place_with=o.place_with)
     return {"figures": real_figures(views, objects), "views": plain(views), "rows": plain(objects)}
 
 

@@ -17,6 +17,10 @@ from neoworld_mjx.places import Place
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
+EvidenceName = Literal["fov", "exif", "pose", "depth", "affine", "disparity", "masks"]
+"""Kinds of evidence of `noise.known_evidence`."""
+KnownView = Literal["photo", "camera", "depth"]
+"""What is known of a real view: the photograph, its camera besides, and its depth besides."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
 
 
@@ -39,7 +43,17 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyRuns(Place):
+class GivenEvidence:
+    """Options of suites in which the photograph comes with evidence."""
+
+    evidence: tuple[EvidenceName, ...] = ()
+    """Evidence beside the photograph, none by default. fov, exif: field of view, calibrated or with
+    an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
+    disparity: depth of a network, up to scale and shift; masks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoisyRuns(GivenEvidence, Place):
     """Options of suites that run methods from noisy initial scenes."""
 
     starts: int = 2
@@ -124,7 +138,7 @@ class Tasks(NoisyRuns):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plans(ModelRequests):
+class Plans(GivenEvidence, ModelRequests):
     """Request plans of the manipulation tasks from a model, and execute them in the scene that it
     sees and in the ground truth; a plan that fails refines the layout, as in Section 4.4 of the
     paper.
@@ -143,7 +157,7 @@ class Plans(ModelRequests):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class Coverage(GivenEvidence):
     """Count the 90 % intervals of aligned objects that hold the truth, over rendered scenes with
     all errors of responses. Half an hour on two cores.
     """
@@ -200,6 +214,9 @@ class RealPoses:
     runs: Path | None = None
     """Folder of run folders named after the views. A row is written for each of their scenes:
     composed, aligned and refined."""
+    place_with: tuple[KnownView, ...] = ()
+    """Also place the objects of each run anew, and score them: with the photograph alone, with the
+    camera of DATA, or with camera and depth of DATA."""
 
 
 @dataclass(frozen=True, kw_only=True)

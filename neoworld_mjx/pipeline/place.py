@@ -159,6 +159,7 @@ def refine_placed(
     engine: Engine | EngineChoice | None = None,
     photo: PhotoPixels | None = None,
     again: AlignOptions | None = None,
+    evidence: Evidence | None = None,
     keep: Collection[str] = (),
     model: SceneModel | None = None,
     panel: Panel | None = None,
@@ -173,6 +174,7 @@ def refine_placed(
         engine: physics engine, or its name; by default, the engine that the options name.
         photo: the photograph (sRGB), for S_sem by a model and for the final alignment.
         again: options of the final alignment; if None, there is none.
+        evidence: depth image and masks for the final alignment.
         keep: names of the objects that the final alignment does not move.
         model: the scene compiled for the search, if it is at hand.
         panel: as for `refine`.
@@ -198,7 +200,7 @@ def refine_placed(
     result, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
     if photo is not None and again is not None and again.aligns_again and refined.passed:
         began = time.perf_counter()
-        final = align_final(scene, refined.scene, photo, o, again, keep=keep)
+        final = align_final(scene, refined.scene, photo, o, again, evidence=evidence, keep=keep)
         seconds["align"] = time.perf_counter() - began
         if final.measure is not None:
             result, measure = final.scene, final.measure

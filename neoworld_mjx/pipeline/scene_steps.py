@@ -1,6 +1,8 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
 import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,12 +24,16 @@ from .step_context import (
     read_tree,
 )
 
+if TYPE_CHECKING:
+    from ..evidence.evidence import Evidence
+
 
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..compose.layout_patch import read_layout_patch
     from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
     from ..measure import box_iou, object_moves, scene_checks
+    from .given_evidence import kept_inputs
     from .place import refine_placed
 
     run, config = context.run, context.config
@@ -40,7 +46,7 @@ def refine_layout(context: StepContext) -> None:
     }
     aligns_again = align.aligns_again and (run.path / ALIGNED).is_file()
     if aligns_again:
-        inputs |= {"photo": run.path / PHOTO, "align": align}
+        inputs |= {"photo": run.path / PHOTO, "align": align, **kept_inputs(run)}
 
     def report(line: str) -> None:
         progress.report(f"  {line}")
@@ -58,6 +64,7 @@ def refine_layout(context: StepContext) -> None:
             seed=config.seed,
             photo=photo,
             again=align if aligns_again else None,
+            evidence=_evidence(run) if aligns_again else None,
             keep=read_layout_patch(run.path).objects,
             panel=context.models,
             progress=report,
@@ -109,6 +116,17 @@ def refine_layout(context: StepContext) -> None:
                     f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
+
+
+def _evidence(run: RunFolder) -> "Evidence":
+    """Return the evidence of a run, with masks assigned to the objects of the tree."""
+    from ..evidence.mask_files import matched_to
+    from .given_evidence import kept_evidence
+
+    kept = kept_evidence(run)
+    if kept.masks is None:
+        return kept
+    return replace(kept, masks=matched_to(kept.masks, read_tree(run))[0])
 
 
 def _mean(values: list[float]) -> float:

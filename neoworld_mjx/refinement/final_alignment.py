@@ -15,6 +15,7 @@ from ..config import AlignOptions, RefineOptions
 from ..estimate.align import FINE_PX, align_again
 from ..estimate.colors import SAME_PX, LabImage, is_supported
 from ..estimate.rasterize import draw_scene, height_of, pixels_of
+from ..evidence.evidence import Evidence
 from ..measure import SceneMeasure
 from ..physics.model import compile_scene
 from ..physics.settling import settle_scene
@@ -51,6 +52,7 @@ def align_final(
     o: RefineOptions | None = None,
     options: AlignOptions | None = None,
     *,
+    evidence: Evidence | None = None,
     keep: Collection[str] = (),
 ) -> FinalAlignment:
     """Align the objects again that the refinement moved in the image.
@@ -69,6 +71,7 @@ def align_final(
         photo: the photograph (sRGB).
         o: options of settling and of the final check.
         options: options of the alignment.
+        evidence: depth image and masks.
         keep: names of objects that are not aligned again.
 
     Returns:
@@ -85,7 +88,7 @@ def align_final(
     moved = moved_in_image(composed, refined).difference(keep)
     if not moved:
         return unchanged
-    again = align_again(refined, photo, moved, options)
+    again = align_again(refined, photo, moved, options, evidence=evidence)
     accepted = {name for name, change in again.objects.items() if change.evidence == "pixels"}
     if not accepted:
         return FinalAlignment(refined, failure=again.failure)

@@ -69,7 +69,7 @@ def test_depth_error_of_an_object_is_its_own():
     own, owner = flat_view([1.0, 1.1, 1.2, 1.05], [0, 1, 0, 2], camera)
     result = depth_measure(own, owner, ("table", "mug", "book"), own)
     assert result.inliers == 1 and result.similarity.scale == pytest.approx(1)
-    assert all(abs(value) < 1e-6 for e in result.objects.values() for value in e[:3])
+    assert all(abs(value) < 1e-6 for e in result.objects.values() for value in e[:4])
     far = own.copy()
     far[owner == 1] *= 1 + 0.03 / far[owner == 1][:, 2:]
     result = depth_measure(far, owner, ("table", "mug", "book"), own)
@@ -85,6 +85,7 @@ def test_depth_error_of_an_object_is_its_own():
     assert result.similarity.scale == pytest.approx(1 / 1.4, rel=1e-6)
     assert result.similarity.angle_deg == pytest.approx(8, abs=1e-4)
     assert max(e.error_mm for e in result.objects.values()) < 1e-3
+    assert min(e.absolute_mm for e in result.objects.values()) > 100
 
 
 def test_depth_measure_needs_pixels_and_skips_what_the_sensor_does_not_see():

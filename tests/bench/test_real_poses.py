@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from neoworld_bench.measures.pose_measure import Intrinsics
-from neoworld_bench.real_poses.real_views import MadeView, posed_meshes, real_rows, score_real_views
+from neoworld_bench.real_poses.placed_views import MadeView
+from neoworld_bench.real_poses.real_views import posed_meshes, real_rows, score_real_views
 from neoworld_bench.real_poses.scene_depth import in_camera, intrinsics_of, scene_points
 from neoworld_bench.real_poses.true_views import bop_views, depth_views
 
 from neoworld_mjx import cli
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Camera
 from neoworld_mjx.spec.scale import scale
@@ -206,10 +207,12 @@ def test_command_scores_every_stage(tmp_path, capfd):
     errors = {(row["stage"], row["object"]): row["error_mm"] for row in result["rows"]}
     assert errors["composed", "block"] > 5 and errors["refined", "block"] < 0.3
     assert result["figures"]["refined"]["median_error_mm"]["n"] == 4
+    assert result["figures"]["refined"]["median_absolute_mm"]["value"] < 0.3
+    assert result["figures"]["refined"]["unmeasured"] == 0
     assert "add_s" not in result["figures"]["refined"]
     # Aligned is what compose/align.json says.
     (run / "compose" / "align.json").write_text("{}")
-    views, rows = score_real_views(tmp_path / "data", run.parent, QUICK)
+    views, rows = score_real_views(tmp_path / "data", run.parent, Config(refine=QUICK))
     assert [row.stage for row in views] == ["aligned", "refined"] and len(rows) == 8
 
 

@@ -279,12 +279,25 @@ def test_stored_rows_are_not_run_again(tmp_path):
     assert run() == rows and (tmp_path / ROWS).read_bytes() == before
 
 
+def test_methods_start_with_the_known_camera():
+    config = load_config(None, SMALL)
+    alone = RunSettings(0, config.refine, config.compose, "layout")
+    known = RunSettings(0, config.refine, config.compose, "layout", ("fov", "pose"))
+    (before,), (after,) = (
+        run_scenes(("overhang_stack",), ("open_loop",), settings, starts=1)
+        for settings in (alone, known)
+    )
+    assert (before.evidence, after.evidence) == ("", "fov+pose")
+    assert after.camera_error_m < 0.7 * before.camera_error_m
+    assert before.within_10mm <= after.within_10mm
+
+
 def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **more: float):
     fields = dict.fromkeys(SceneRow.model_fields, 0) | {
         "scene": scene, "room": "tabletop", "tabletop": scene == "tents", "objects": 4,
         "start": start, "evaluation": start % 2 == 1, "method": method, "valid": valid,
         "check_passed": valid, "accepted": valid if method == "ours" else None,
-        "noise": "layout", "injected": "", "refused": "", "s_stab": valid,
+        "noise": "layout", "injected": "", "refused": "", "evidence": "", "s_stab": valid,
         "o_stab": 1.0, "xy_error_m": 0.01, "seconds_to_valid": 2.0 if valid else None,
     }  # fmt: skip
     return SceneRow.model_validate(fields | more)
@@ -312,6 +325,11 @@ def test_summary_compares_methods_and_counts_objects():
     assert (figures["objects"], figures["found"]) == (4, 3)
     shares = [figures[name] for name in ("displaced", "missed", "extra")]
     assert shares == pytest.approx([1 / 3, 1 / 4, 2 / 4])
+    near = [_row("ours", valid=True, start=k, within_10mm=0.5 + k / 2) for k in range(2)]
+    near.append(_row("ours", valid=True, start=2, camera_error_m=0.03))
+    figures = scene_summary(near)["methods"]["ours"]
+    assert figures["camera_error_m"] == pytest.approx(0.01)
+    assert figures["camera_error_median_m"] == 0.0 and figures["within_10mm"] == 0.5
 
 
 def test_means_have_intervals_clustered_by_scene():

@@ -6,6 +6,8 @@ import pytest
 from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate.alignment import Alignment
+from neoworld_mjx.evidence.depth_image import DepthImage
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import passes
 from neoworld_mjx.refinement import final_alignment
 from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final
@@ -81,6 +83,18 @@ def test_without_evidence_or_settling_the_refined_scene_stays(case, five, refine
     assert align_final(five, refined, photo, options, align) == FinalAlignment(refined)
 
 
+def test_depth_and_masks_are_evidence_again(monkeypatch, five, refined, photo, right):
+    depth = Evidence(depth=DepthImage(np.ones((4, 4))))
+    given = []
+    monkeypatch.setattr(
+        final_alignment,
+        "align_again",
+        lambda *args, evidence: given.append(evidence) or right,
+    )
+    align_final(five, refined, photo, evidence=depth)
+    assert given == [depth]
+
+
 def test_a_photograph_of_another_shape_is_refused(five, refined, photo):
     with pytest.raises(PhotoError, match="aspect ratio"):
         align_final(five, refined, photo[:200])
@@ -89,7 +103,7 @@ def test_a_photograph_of_another_shape_is_refused(five, refined, photo):
 def returning(monkeypatch, aligned, right):
     """Make the alignment return a scene, with the changes of a right alignment."""
     fake = Alignment(aligned, objects=right.objects)
-    monkeypatch.setattr(final_alignment, "align_again", lambda *args: fake)
+    monkeypatch.setattr(final_alignment, "align_again", lambda *args, **more: fake)
 
 
 @pytest.fixture(scope="module")

@@ -83,6 +83,8 @@ class DepthError(NamedTuple):
 
     error_mm: float
     """Median distance between the rendered and the measured point of a pixel [mm]."""
+    absolute_mm: float
+    """The same without the similarity transform, in the camera's frame [mm]."""
     depth_error_mm: float
     """Median absolute difference of the depths [mm]."""
     bias_mm: float
@@ -136,12 +138,13 @@ def depth_measure(
     tolerance = TOLERANCE * float(np.median(target[:, 2]))
     fitted = robust_similarity(source, target, tolerance)
     off = fitted.apply(source) - target
-    distance = np.linalg.norm(off, axis=1)
+    distance, raw = (np.linalg.norm(gap, axis=1) for gap in (off, source - target))
     objects = {}
     for index, name in enumerate(names):
         visible = int((rendered_mask & (segmentation == index)).sum())
         if visible:
-            objects[name] = _error(off[owner == index], distance[owner == index], visible)
+            of = owner == index
+            objects[name] = _error(off[of], distance[of], raw[of], visible)
     return DepthMeasure(fitted, float((distance <= tolerance).mean()), objects)
 
 
@@ -185,11 +188,14 @@ def least_squares_similarity(
     return Similarity(scale, rotation, b - scale * rotation @ a)
 
 
-def _error(off: DepthPoints, distance: Float[np.ndarray, " n"], visible: int) -> DepthError:
+def _error(
+    off: DepthPoints, distance: Float[np.ndarray, " n"], raw: Float[np.ndarray, " n"], visible: int
+) -> DepthError:
     if not len(off):
-        return DepthError(np.nan, np.nan, np.nan, visible, 0)
+        return DepthError(np.nan, np.nan, np.nan, np.nan, visible, 0)
     return DepthError(
         1e3 * float(np.median(distance)),
+        1e3 * float(np.median(raw)),
         1e3 * float(np.median(np.abs(off[:, 2]))),
         1e3 * float(np.median(off[:, 2])),
         visible,

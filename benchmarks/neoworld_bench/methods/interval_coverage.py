@@ -14,6 +14,7 @@ from ..dataset.truth_scene import photographed
 from ..fidelity.rendered_responses import exact_response
 from ..fidelity.rendered_scenes import photograph
 from ..noise.initial_scenes import initial_scene, is_evaluation, noise_number
+from ..noise.known_evidence import known_evidence
 from ..rows import Row
 from .layout_errors import heading_deg, offsets
 
@@ -33,13 +34,20 @@ class IntervalRow(Row):
     """Absolute error in stated standard deviations."""
 
 
-def interval_rows(name: str, starts: int) -> Iterator[IntervalRow]:
-    """Yield the errors of a scene's aligned objects from all its initial scenes."""
+def interval_rows(name: str, starts: int, evidence: Sequence[str] = ()) -> Iterator[IntervalRow]:
+    """Yield the errors of a scene's aligned objects from all its initial scenes.
+
+    Args:
+        name: name of the scene.
+        starts: number of initial scenes.
+        evidence: kinds of evidence given beside the photograph.
+    """
     truth = photographed(declaration(name))
     photo, response = photograph(truth), exact_response(truth)
     for start in range(starts):
         initial = initial_scene(truth, response, noise_number(name, 0, start))
-        alignment = initial.placed(photo).alignment
+        number = noise_number(f"evidence/{name}", 0, start)
+        alignment = initial.placed(known_evidence(evidence, truth, photo, number)).alignment
         assert alignment is not None  # A photograph is given.
         for quantity, value in object_errors(alignment.scene, truth):
             yield IntervalRow(

@@ -67,6 +67,27 @@ def layout_errors(scene: SceneSpec, truth: SceneSpec) -> dict[str, float]:
     }
 
 
+def camera_errors(scene: SceneSpec, truth: SceneSpec) -> Float[np.ndarray, " object"]:
+    """Return the distances of objects' centers from the truth in the camera's frame [m].
+
+    No offset, scale or rotation is removed: this is the error of a robot that is calibrated to the
+    camera. The objects are the movable ones that both scenes contain.
+
+    Raises:
+        SpecError: a scene has no camera.
+    """
+    ends, starts = world_poses(scene), world_poses(truth)
+    names = [item.name for item in truth.objects if not item.static and item.name in ends]
+    seen = []
+    for which, poses in ((scene, ends), (truth, starts)):
+        camera = which.camera
+        if camera is None:
+            raise SpecError(f"scene {which.name} has no camera")
+        middles = np.array([_middle(which.object(name), poses[name]) for name in names])
+        seen.append((middles.reshape(-1, 3) - camera.position()) @ camera.axes())
+    return np.linalg.norm(seen[0] - seen[1], axis=1)
+
+
 def offsets(
     scene: SceneSpec, truth: SceneSpec, names: Sequence[str]
 ) -> Float[np.ndarray, "object 2"]:

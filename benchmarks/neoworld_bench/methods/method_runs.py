@@ -4,15 +4,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import numpy as np
-from jaxtyping import UInt8
-
-from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx.config import ComposeOptions, Config, RefineOptions
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
+from ..fidelity.rendered_scenes import photograph
 from ..noise.initial_scenes import (
     InitialScene,
     NoiseLevel,
@@ -20,8 +18,10 @@ from ..noise.initial_scenes import (
     is_evaluation,
     noise_number,
 )
+from ..noise.known_evidence import check_evidence, known_evidence
 from ..noise.parse_noise import NoiseLog
 from ..rows import Row, RowStore, log
+from ..suites import EvidenceName
 from .scene_methods import MethodResult, outcomes_of
 
 
@@ -39,6 +39,8 @@ class MethodRow(Row):
     evaluation: bool
     """True if the initial scene is in the evaluation half."""
     method: str
+    evidence: str
+    """Kinds of evidence given beside the photograph, joined by "+"; empty for none."""
     rollouts: int
 
     @property
@@ -70,6 +72,18 @@ class RunSettings:
     """Options of the search and of the final check."""
     compose: ComposeOptions
     noise: NoiseLevel
+    evidence: tuple[EvidenceName, ...] = ()
+    """Kinds of evidence given beside the photograph."""
+
+
+def run_settings(options: Any, config: Config) -> RunSettings:
+    """Return the settings of a run from the options of a suite and the configuration.
+
+    Raises:
+        SpecError: kinds of evidence exclude each other.
+    """
+    check_evidence(options.evidence)
+    return RunSettings(options.seed, config.refine, config.compose, options.noise, options.evidence)
 
 
 @dataclass(frozen=True)
@@ -99,22 +113,23 @@ class MethodJob:
         self,
         methods: Sequence[str],
         initial: InitialScene,
-        photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
+        truth: SceneSpec,
     ) -> Iterator[tuple[str, MethodResult]]:
         """Run methods from the initial scene, and yield each name with its result.
 
         Args:
             methods: names of the methods.
             initial: the initial scene with its programs.
-            photo: function that returns the photograph.
+            truth: the ground truth, which is photographed, with the evidence about it.
         """
         s = self.settings
+        number = noise_number(f"evidence/{self.subject}", s.seed, self.start)
         return outcomes_of(
             methods,
             initial,
             s.refine,
             NativeEngine(threads=self.threads),
-            photo,
+            lambda: known_evidence(s.evidence, truth, photograph(truth), number),
             align=s.compose.align,
             seed=s.seed,
         )
@@ -128,6 +143,7 @@ class MethodJob:
             "seed": self.settings.seed,
             "evaluation": is_evaluation(self.start),
             "method": method,
+            "evidence": "+".join(self.settings.evidence),
         }
 
 

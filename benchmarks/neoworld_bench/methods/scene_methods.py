@@ -10,10 +10,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import UInt8
 
 from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merged
 from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import SceneMeasure, measured
 from neoworld_mjx.physics.colliders import snap_exactly, start_state
 from neoworld_mjx.physics.engine import Engine
@@ -127,7 +127,7 @@ def outcome_of(
     engine: Engine,
     *,
     seed: int = 0,
-    photo: UInt8[np.ndarray, "row column 3"] | None = None,
+    evidence: Evidence | None = None,
     again: AlignOptions | None = None,
 ) -> MethodResult:
     """Run a method from an initial scene.
@@ -138,7 +138,8 @@ def outcome_of(
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
         seed: random seed of the search.
-        photo: the photograph, for the final alignment and for a search whose S_sem is a model's.
+        evidence: the photograph, for the final alignment and for a search whose S_sem is a model's,
+            and what is known, for the final alignment.
         again: options of the final alignment; if None, there is none.
     """
     if method in SETTLED:
@@ -147,10 +148,17 @@ def outcome_of(
         spent = time.perf_counter() - began
         return MethodResult(scene, measured(scene, o), spent, spent)
     options = SEARCHES[method](o)
-    model = compile_for_search(start, options)
+    model, known = compile_for_search(start, options), evidence or Evidence()
     began = time.perf_counter()
     placed = refine_placed(
-        start, options, seed=seed, engine=engine, photo=photo, again=again, model=model
+        start,
+        options,
+        seed=seed,
+        engine=engine,
+        photo=known.photo,
+        again=again,
+        evidence=known,
+        model=model,
     )
     spent, refined = time.perf_counter() - began, placed.refined
     to_valid = refined.seconds["to_valid"]
@@ -171,7 +179,7 @@ def outcomes_of(
     initial: InitialScene,
     o: RefineOptions,
     engine: Engine,
-    photo: Callable[[], UInt8[np.ndarray, "row column 3"]],
+    evidence: Callable[[], Evidence],
     *,
     align: AlignOptions | None = None,
     seed: int = 0,
@@ -183,21 +191,28 @@ def outcomes_of(
         initial: the noisy response and its objects.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
-        photo: function that returns the photograph; called if a method needs the photograph.
+        evidence: function that returns the photograph and what is known beside it.
         align: options of the alignment.
         seed: random seed of the searches.
     """
     placed: dict[AlignOptions, LayoutEstimate] = {}
-    picture = functools.cache(photo)
+    given = functools.cache(evidence)
+
+    @functools.cache
+    def composed() -> SceneSpec:
+        if given().camera is None:
+            return initial.scene
+        return initial.placed(dataclasses.replace(given(), photo=None)).scene
+
     for method in methods:
         used = EVIDENCE.get(method, align or AlignOptions())
         aligns = used.enabled and method not in UNALIGNED
-        start, spent = initial.scene, 0.0
+        start, spent = composed(), 0.0
         if aligns:
             # The final alignment has no part in the start.
             key = used.model_copy(update={"final": True})
             if key not in placed:
-                placed[key] = initial.placed(picture(), key)
+                placed[key] = initial.placed(given(), key)
             start, spent = placed[key].scene, placed[key].seconds
         result = outcome_of(
             method,
@@ -205,7 +220,7 @@ def outcomes_of(
             o,
             engine,
             seed=seed,
-            photo=None if method in SETTLED else picture(),
+            evidence=None if method in SETTLED else given(),
             again=used if aligns else None,
         )
         times = {

@@ -17,14 +17,15 @@ from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
 from ..dataset.declaration import declaration, declarations
 from ..dataset.truth_scene import photographed
-from ..fidelity.rendered_scenes import photograph
 from ..noise.parse_noise import NoiseLog
 from ..rows import RowStore
-from .layout_errors import layout_errors, validity
+from .layout_errors import camera_errors, layout_errors, validity
 from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from .scene_methods import MethodResult, check_methods
 from .submission import submission_name, submitted
 
+NEAR_M = 0.01
+"""Distance in the camera's frame up to which an object counts in `within_10mm` [m]."""
 P_PEN_M = 1e-3
 """Penetration of two parts above which an object counts in P-Pen [m]."""
 _DEEPEST_M = 10.0
@@ -101,6 +102,11 @@ class SceneRow(MethodRow):
     edge_error: float
     """Error of an object's three edges, whereas `scale_error` is the error of its diagonal; see
     `layout_errors`."""
+    camera_error_m: float
+    """Distance of an object's center from the truth in the camera's frame, with nothing removed, as
+    a mean over objects [m]; see `camera_errors`."""
+    within_10mm: float
+    """Share of the objects whose distance is at most 10 mm."""
     box_iou: float
     """Intersection over union of visible 2D boxes with those of the ground truth, as a mean over
     objects."""
@@ -189,7 +195,7 @@ def scene_rows(job: MethodJob) -> Iterator[SceneRow]:
     """Run the methods of a job, and yield a row for each."""
     truth, errors = photographed(declaration(job.subject)), NoiseLog()
     initial = job.initial(truth, job.subject, errors)
-    for method, result in job.outcomes(job.methods, initial, lambda: photograph(truth)):
+    for method, result in job.outcomes(job.methods, initial, truth):
         yield _row(job, method, result, truth, initial.scene, errors)
 
 
@@ -232,6 +238,7 @@ def _row(
         for item in result.scene.objects
         if not item.environment and articulated(item.spec)
     ]
+    distance = camera_errors(result.scene, truth)
     columns: dict[str, Any] = {
         **job.columns(method, errors),
         **layout_errors(result.scene, truth),
@@ -257,6 +264,8 @@ def _row(
         max_depth_m=m.max_depth_m,
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
+        camera_error_m=float(np.mean(distance)),
+        within_10mm=float(np.mean(distance <= NEAR_M)),
         box_iou=_box_iou(result.scene, truth),
         seconds_to_valid=result.seconds_to_result if verdict.valid else None,
         seconds=result.seconds,

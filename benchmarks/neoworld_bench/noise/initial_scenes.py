@@ -16,9 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import numpy as np
-from jaxtyping import UInt8
-
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
 from neoworld_mjx.estimate.fit_tree import fit_tree
 from neoworld_mjx.estimate.tree_checks import SceneIssue, check_score, check_tree
@@ -72,19 +69,18 @@ class InitialScene:
 
     def placed(
         self,
-        photo: UInt8[np.ndarray, "row column 3"] | None = None,
+        evidence: Evidence | None = None,
         align: AlignOptions | None = None,
     ) -> LayoutEstimate:
         """Fit, compose and align the scene as a run does; see `pipeline.place.place`.
 
         Args:
-            photo: the photograph (sRGB); without one, the scene is not aligned.
+            evidence: the photograph, without which the scene is not aligned, and what is known.
             align: options of the alignment; by default, those of `options`.
         """
         options = self.options
         if align is not None:
             options = options.model_copy(update={"align": align})
-        evidence = Evidence(photo)
         return place(
             self.tree, self.objects, evidence, options, programs=self.programs, name=self.name
         )

@@ -6,15 +6,15 @@ RUNS/NAME/compose/scene.json     composed; aligned if compose/align.json is ther
 RUNS/NAME/scene.json             refined
 """
 
+import itertools
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import Config, RefineOptions
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.render import visible_surface
@@ -34,20 +34,14 @@ from ..measures.pose_measure import (
 from ..measures.pose_measure import measured_points as sensor_points
 from ..measures.surface_measure import sampled
 from ..rows import Row, RowStore
+from ..suites import KnownView
+from .placed_views import MadeView, placed_views
 from .scene_depth import PosedMesh, in_camera, intrinsics_of, matched, scale_of, scene_points
 from .true_views import PosedObject, TrueView, bop_views, depth_views, is_bop, is_depth_folder
 
 POINTS = 10_000
 ASPECT = 0.01
 """Largest difference of the logarithms of the image's and the camera's aspect."""
-
-
-@dataclass(frozen=True)
-class MadeView:
-    """A reconstruction of a view at one stage: composed, aligned or refined."""
-
-    stage: str
-    scene: SceneSpec
 
 
 class RealObjectRow(Row):
@@ -65,6 +59,8 @@ class RealObjectRow(Row):
     """Those of them with a depth of the sensor."""
     error_mm: float | None
     """Median distance of the rendered from the measured points after the alignment."""
+    absolute_mm: float | None
+    """The same without the alignment: nothing is removed."""
     depth_error_mm: float | None
     """Median absolute difference of the depths."""
     bias_mm: float | None
@@ -196,7 +192,9 @@ def _object_rows(
 
 def _depth_columns(depth: DepthMeasure | None, name: str) -> dict[str, Any]:
     error = None if depth is None else depth.objects.get(name)
-    columns: dict[str, Any] = dict.fromkeys(("error_mm", "depth_error_mm", "bias_mm"))
+    columns: dict[str, Any] = dict.fromkeys(
+        ("error_mm", "absolute_mm", "depth_error_mm", "bias_mm")
+    )
     if error is None:
         return columns | {"visible_px": 0, "measured_px": 0}
     known = error._asdict()
@@ -250,16 +248,19 @@ def true_views(data: Path, names: Collection[str]) -> Iterator[TrueView]:
 def score_real_views(
     data: Path,
     runs: Path,
-    options: RefineOptions | None = None,
+    config: Config | None = None,
     kept: RowStore | None = None,
+    *,
+    place_with: Sequence[KnownView] = (),
 ) -> tuple[list[RealViewRow], list[RealObjectRow]]:
     """Score the reconstructions of the views of a data set.
 
     Args:
         data: folder of the data set.
         runs: folder of run folders that are named after views.
-        options: of the final check.
+        config: options of the final check, and of Step 4 for `place_with`.
         kept: rows of an interrupted run.
+        place_with: what is known when the objects of each run are placed anew.
 
     Raises:
         SpecError: a file cannot be read, or no run folder has the name of a view.
@@ -269,7 +270,7 @@ def score_real_views(
     names = sorted(folder.name for folder in runs.iterdir() if folder.is_dir())
     rows: list[RealViewRow | RealObjectRow] = []
     for view in true_views(data, names):
-        score = partial(_scored, view, runs / view.name, options or RefineOptions())
+        score = partial(_scored, view, runs / view.name, config or Config(), place_with)
         rows += (kept or RowStore(None)).rows(view.name, score)
     if not rows:
         raise SpecError(
@@ -282,9 +283,12 @@ def score_real_views(
     )
 
 
-def _scored(view: TrueView, run: Path, o: RefineOptions) -> Iterator[RealViewRow | RealObjectRow]:
-    for made in run_stages(run):
-        row, object_rows = real_rows(view, made, o)
+def _scored(
+    view: TrueView, run: Path, config: Config, place_with: Sequence[KnownView]
+) -> Iterator[RealViewRow | RealObjectRow]:
+    placed = placed_views(view, run, place_with, config)
+    for made in itertools.chain(run_stages(run), placed):
+        row, object_rows = real_rows(view, made, config.refine)
         yield row
         yield from object_rows
 
@@ -304,19 +308,26 @@ def run_stages(folder: Path) -> Iterator[MadeView]:
 def real_figures(
     views: Sequence[RealViewRow], objects: Sequence[RealObjectRow]
 ) -> dict[str, dict[str, Any]]:
-    """Return the means by stage, each with its n, and the recall over true objects."""
+    """Return the means by stage, each with its n, and the recall over true objects.
+
+    "unmeasured" is the number of objects that have no error, as they show no measured pixel.
+    """
     figures = {}
     for stage in dict.fromkeys(row.stage for row in views):
         stage_views = [row for row in views if row.stage == stage]
         stage_objects = [row for row in objects if row.stage == stage]
         true = [row for row in stage_objects if row.true_object]
         errors = [row.error_mm for row in stage_objects if row.error_mm is not None]
+        absolute = [row.absolute_mm for row in stage_objects if row.absolute_mm is not None]
         figure: dict[str, Any] = {
             "views": len(stage_views),
             "check_passed": float(np.mean([row.check_passed for row in stage_views])),
         }
         if errors:
-            figure["median_error_mm"] = {"value": float(np.median(errors)), "n": len(errors)}
+            for name, values in (("error_mm", errors), ("absolute_mm", absolute)):
+                figure[f"median_{name}"] = {"value": float(np.median(values)), "n": len(values)}
+            made = [row for row in stage_objects if row.object]
+            figure["unmeasured"] = sum(row.absolute_mm is None for row in made)
         if true:
             figure |= {
                 "true_objects": len(true),

@@ -32,8 +32,9 @@ class ScenePoints(NamedTuple):
 
 def intrinsics_of(camera: Camera, width: int, height: int) -> Intrinsics:
     """Return the intrinsics of a scene's camera for an image of another size."""
-    focal = camera.focal * height / camera.height_px
-    return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+    resized = camera.resized(width, height)
+    cx, cy = (resized.center - 0.5).tolist()
+    return Intrinsics(resized.focal, resized.focal, cx, cy)
 
 
 def scene_points(

@@ -38,10 +38,15 @@ MEASURES = {
     "yaw_error_deg": Measure(lambda r: r.yaw_error_deg, share=False),
     "scale_error": Measure(lambda r: r.scale_error, share=False),
     "edge_error": Measure(lambda r: r.edge_error, share=False),
+    "camera_error_m": Measure(lambda r: r.camera_error_m, share=False),
+    "within_10mm": Measure(lambda r: r.within_10mm, weight=lambda r: r.found),
     "box_iou": Measure(lambda r: r.box_iou, share=False),
 }
 """Measures by name."""
-COMPARED = ("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "box_iou", "displaced")
+COMPARED = (
+    *("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "camera_error_m"),
+    *("box_iou", "displaced"),
+)
 """Measures of the paired differences."""
 PAPER: dict[str, dict[str, dict[str, float]]] = {
     "all": {
@@ -88,8 +93,8 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
 
     "objects" is the number of the ground truth's movable objects over all rows, "found" of those
     that the results have, over which errors are means; O-Stab is over these and the extra ones,
-    P-Pen over "articulated". A mean over nothing is None, and so is "seconds_to_valid", the median
-    over valid results, without any.
+    P-Pen over "articulated". "camera_error_median_m" is the median over rows. A mean over nothing
+    is None, and so is "seconds_to_valid", the median over valid results, without any.
     """
     times = [row.seconds_to_valid for row in rows if row.seconds_to_valid is not None]
     whole = [row.seconds for row in rows if row.seconds is not None]
@@ -100,6 +105,7 @@ def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
         "articulated": sum(row.articulated for row in rows),
         "seconds_to_valid": float(np.median(times)) if times else None,
         "seconds": float(np.median(whole)) if whole else None,
+        "camera_error_median_m": float(np.median([row.camera_error_m for row in rows])),
     }
     for name in MEASURES:
         value, low, high = interval(rows, name)

@@ -30,7 +30,6 @@ from neoworld_mjx.spec.kinematics import welded
 from neoworld_mjx.spec.pose import rotate
 from neoworld_mjx.sweeps.intervals import ratio_interval
 
-from ..fidelity.rendered_scenes import photograph
 from ..methods.method_runs import MethodJob, RunSettings
 from ..methods.scene_methods import check_methods
 from ..noise.parse_noise import NoiseLog
@@ -308,7 +307,7 @@ def scene_of_method(
         return task.scene
     job = MethodJob(task.name, start, (method,), settings, threads=1)
     initial = job.initial(photo.scene, f"task/{task.name}", NoiseLog())
-    outcomes = job.outcomes((method,), initial, lambda: photograph(photo.scene))
+    outcomes = job.outcomes((method,), initial, photo.scene)
     return photo.back(dict(outcomes)[method].scene)
 
 

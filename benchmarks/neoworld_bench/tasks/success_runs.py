@@ -17,7 +17,6 @@ from neoworld_mjx.measure import measured
 from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
-from ..fidelity.rendered_scenes import photograph
 from ..methods.layout_errors import offsets, validity
 from ..methods.method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from ..methods.scene_methods import MethodResult, check_methods
@@ -219,9 +218,8 @@ def success_rows(job: MethodJob) -> Iterator[SuccessRow]:
         measure = measured(photo.scene, job.settings.refine)
         yield row(TRUTH, (photo, photo.scene, MethodResult(photo.scene, measure, 0.0, 0.0)))
     while initial is not None and remaining:
-        picture = lambda: photograph(photo.scene)
         try:
-            for method, result in job.outcomes(tuple(remaining), initial, picture):
+            for method, result in job.outcomes(tuple(remaining), initial, photo.scene):
                 remaining.remove(method)
                 yield row(method, (photo, initial.scene, result))
         except Exception as error:
