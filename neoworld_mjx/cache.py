@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import jax.monitoring
 
+from .errors import EngineError
+
 VARIABLE = "NEOWORLD_CACHE"
 
 
@@ -20,15 +22,43 @@ def cache_folder() -> Path:
     return Path(home) / "neoworld"
 
 
+def check_jax() -> None:
+    """Check that JAX has a device and computes in single precision.
+
+    Raises:
+        EngineError: JAX cannot start, or the environment asks for double precision.
+    """
+    import jax
+
+    try:
+        jax.devices()
+    except Exception as error:  # An AssertionError without text, among others.
+        reason = str(error).partition("\n")[0] or "it finds no such device"
+        platforms = os.environ.get("JAX_PLATFORMS", "")
+        raise EngineError(
+            f"JAX cannot start with JAX_PLATFORMS={platforms!r} ({reason}); unset it, or install "
+            "the extra cuda for an NVIDIA GPU"
+        ) from None
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise EngineError(
+            "JAX is set to double precision (JAX_ENABLE_X64), but batches are simulated in single "
+            "precision; unset it"
+        )
+
+
 def keep_compilations() -> Path | None:
-    """Enable JAX's persistent compilation cache, unless JAX already has a cache folder.
+    """Check JAX, and enable its persistent compilation cache unless it already has a cache folder.
 
     Returns:
         The cache folder, or None if the folder is not writable. Without a cache, every process
         compiles its functions again.
+
+    Raises:
+        EngineError: as in `check_jax`.
     """
     import jax
 
+    check_jax()
     chosen = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     folder = Path(chosen) if chosen else cache_folder() / "jax"
     try:

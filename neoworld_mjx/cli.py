@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import NeoWorldError, system_refusal
+from .errors import expected_message
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -37,14 +37,11 @@ def main(args: Sequence[str] | None = None) -> None:
     # The matrices are so small that BLAS threads mainly wait for one another on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args = sys.argv[1:] if args is None else args
-    if list(args) == ["--version"]:
-        print(f"neoworld {__version__}")
-        sys.exit(0)
-    if list(args) in (["--help"], ["-h"]):
-        print(help_text())
-        sys.exit(0)
     try:
         code = _run_words(args)
+    except BrokenPipeError:  # The reader of a help text has stopped reading.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        code = 0
     except KeyboardInterrupt:  # Raised while modules are imported.
         print(f"error: {MESSAGE}", file=sys.stderr)
         code = INTERRUPTED
@@ -56,6 +53,10 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def _run_words(args: Sequence[str]) -> int:
     """Run the command that `args` specify and return the exit code; exit if they are invalid."""
+    texts = {"--version": lambda: f"neoworld {__version__}", "--help": help_text, "-h": help_text}
+    if len(args) == 1 and args[0] in texts:
+        print(texts[args[0]](), flush=True)
+        return 0
     if not args or args[0] not in COMMANDS:
         print(f"error: {_no_command(args)}", file=sys.stderr)
         sys.exit(BAD_INPUT)
@@ -117,6 +118,7 @@ def run(command: "Command") -> int:
     """Run a parsed command, print its result and return the exit code."""
     from .commands.terminal import details, prompt_interrupts
     from .io.names import printable
+    from .io.text_files import strict_json
 
     if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison] The caller closed it.
         print("error: cannot write to stdout: it is closed", file=sys.stderr)
@@ -147,9 +149,7 @@ def run(command: "Command") -> int:
             if command.owns_stdout:
                 pass
             elif command.json:
-                # NaN and Infinity are not JSON and become null.
-                strict = json.loads(json.dumps(result), parse_constant=lambda _: None)
-                print(json.dumps(strict), file=out)
+                print(json.dumps(strict_json(result)), file=out)
             elif "error" not in result:
                 rest = details(result) if command.verbose else ()
                 print(printable("\n".join([*command.lines(result), *rest])), file=out)
@@ -165,15 +165,8 @@ def run(command: "Command") -> int:
 
 def _describe(error: Exception) -> tuple[str, int]:
     """Return the message and the exit code for an error."""
-    if isinstance(error, NeoWorldError):
-        return str(error), BAD_INPUT
-    if isinstance(error, MemoryError):
-        return (
-            "not enough memory: use fewer candidates, a shorter duration or a smaller image",
-            BAD_INPUT,
-        )
-    if (refusal := system_refusal(error)) is not None:
-        return refusal, BAD_INPUT
+    if (message := expected_message(error)) is not None:
+        return message, BAD_INPUT
     return f"internal: {type(error).__name__}: {error}. {REPORT}", BUG
 
 

@@ -54,6 +54,15 @@ class RunError(NeoWorldError):
     """Raised if a run folder is in use, incomplete, not writable, or from another program."""
 
 
+def expected_message(error: BaseException) -> str | None:
+    """Return the message of an error that the input or the system caused, otherwise None."""
+    if isinstance(error, NeoWorldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory: use fewer candidates, a shorter duration or a smaller image"
+    return system_refusal(error) or mujoco_refusal(error)
+
+
 _OPEN_FILES = {errno.EMFILE, errno.ENFILE}
 _REFUSALS = _OPEN_FILES | {
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS),
@@ -61,12 +70,24 @@ _REFUSALS = _OPEN_FILES | {
 }
 
 
-def system_refusal(error: BaseException) -> str | None:
-    """Return a message if the operating system refused an operation, otherwise None.
+_MESSAGES = {
+    "environment variable MUJOCO_GL": "MuJoCo accepts no such value of MUJOCO_GL; unset it",
+    "can't start new thread": "the system starts no more threads; raise the limit (ulimit -u, -v)",
+    "failed to map segment": "not enough memory to load a library; raise the limit (ulimit -v)",
+    "annot allocate memory": "not enough memory to load a library; raise the limit (ulimit -v)",
+}
+"""Messages for errors of libraries that the environment causes, by a part of their text."""
 
-    Such refusals are not bugs of the package. They are due to invalid file names, missing
-    permissions, full or failing disks, and limits of the system.
+
+def system_refusal(error: BaseException) -> str | None:
+    """Return a message if the system or its environment caused an error, otherwise None.
+
+    Such errors are not bugs of the package. They are due to invalid file names, missing
+    permissions, full or failing disks, limits of the system, and environment variables.
     """
+    for text, refusal in _MESSAGES.items():
+        if isinstance(error, RuntimeError | ImportError) and text in str(error):
+            return refusal
     if open_files_exhausted(error):
         return f"{os.strerror(errno.EMFILE)}; raise the limit, such as with ulimit -n 4096"
     if isinstance(error, OSError) and error.errno == errno.ENOENT and error.filename is None:
@@ -75,6 +96,18 @@ def system_refusal(error: BaseException) -> str | None:
         return None
     path = "" if error.filename is None else f"cannot use {error.filename}: "
     return f"{path}{error.strerror}"
+
+
+def mujoco_refusal(error: BaseException) -> str | None:
+    """Return a message if MuJoCo gave up on a model (`mujoco.FatalError`), otherwise None."""
+    if (type(error).__module__.split(".")[0], type(error).__name__) != ("mujoco", "FatalError"):
+        return None
+    reason = str(error).partition("\n")[0]
+    return f"MuJoCo cannot simulate this: {reason}; {CROWDED}"
+
+
+CROWDED = "move overlapping objects apart, or use fewer or simpler ones"
+"""Remedy for a scene with more contacts than MuJoCo's memory holds."""
 
 
 def open_files_exhausted(error: BaseException | None) -> bool:
@@ -94,7 +127,9 @@ def choices(value: str, valid: Iterable[object]) -> str:
     similar name is given.
     """
     names = list(map(str, valid))
-    near = difflib.get_close_matches(value, names, n=1)
+    # A name that lacks only its unit, as sigma_yaw for sigma_yaw_deg, is meant.
+    near = [name for name in names if value and name.startswith(value)]
+    near = near[:1] or difflib.get_close_matches(value, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     if near and len(names) > MAX_CHOICES:
         return f"got {value!r}, which is none of {len(names)} names{hint}"

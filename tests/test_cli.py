@@ -90,6 +90,7 @@ def test_bad_words_are_one_message_with_valid_choices(neoworld, tmp_path, words,
     ("setting", "said"),
     [
         ("refine.cem.popluation=3", "did you mean 'population'"),
+        ("refine.cem.sigma_yaw=3", "did you mean 'sigma_yaw_deg'"),
         ("refine.cem.population=many", "refine.cem.population: Input should be a valid integer"),
         ("seed", "KEY=VALUE"),
         ("seed=[1", "not a YAML value"),
@@ -151,6 +152,9 @@ def test_a_program_becomes_its_files(neoworld, tmp_path):
     assert files >= {"object.urdf", "object.usda", "object.xml", "program.py", "spec.json"}
     assert_refused(neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
     assert neoworld("check", program).returncode == 0
+    assert "valid: block passes" in neoworld("check", tmp_path / "out").stdout
+    (tmp_path / "out" / "program.py").unlink()
+    assert "valid: block passes" in neoworld("check", tmp_path / "out").stdout
 
 
 def test_output_of_other_code_is_not_mixed_with_the_json(capfd, monkeypatch):

@@ -11,6 +11,7 @@ from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.measure import measured, scene_checks
 from neoworld_mjx.mllm.provider import bundled_tapes
 from neoworld_mjx.mllm.replay import Tape
+from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
@@ -125,3 +126,12 @@ def test_an_example_is_named_or_given_by_its_file(tmp_path):
     assert photo_of(example.photo) == photo_of(type(example.photo)("microwave")) == example.photo
     with pytest.raises(PhotoError, match="did you mean 'drawers'"):
         photo_of(type(example.photo)("drawer"))
+
+
+def test_a_folder_with_the_name_of_an_example_does_not_hide_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("coffee", "mine"):
+        (tmp_path / name).mkdir()
+    assert photo_of(Path("coffee")) == bundled_examples()["coffee"].photo
+    with pytest.raises(PhotoError, match="mine is a folder; give the file of one photograph"):
+        load_photo(photo_of(Path("mine")))

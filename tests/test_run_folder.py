@@ -5,7 +5,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import CEMOptions, Config, RefineOptions
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.run_folder import RunFolder, read_run
 
@@ -21,8 +21,8 @@ def _two_steps(out, mode="new", *, text="tree", step=None):
         with run.step("compose", {"tree": out / "tree.json"}) as stage:
             if stage is not None:
                 ran.append("compose")
-                (stage / "objects").mkdir()
-                (stage / "objects" / "scene.txt").write_text((out / "tree.json").read_text() * 2)
+                (stage / "compose").mkdir()
+                (stage / "compose" / "scene.json").write_text((out / "tree.json").read_text() * 2)
         run.finish()
     return ran
 
@@ -31,7 +31,7 @@ def test_a_run_records_its_files_options_and_versions(tmp_path):
     out = tmp_path / "deep" / "out"
     _two_steps(out)
     data = read_run(out)
-    assert (out / "objects" / "scene.txt").read_text() == "treetree"
+    assert (out / "compose" / "scene.json").read_text() == "treetree"
     assert data["status"] == "finished"
     assert data["fingerprint"] == Config().fingerprint()
     assert data["config"]["refine"]["cem"]["population"] == 64
@@ -45,7 +45,7 @@ def test_resume_repeats_only_changed_steps(tmp_path):
     assert _two_steps(out) == ["parse", "compose"]
     assert _two_steps(out, "resume") == []
     assert _two_steps(out, "resume", text="bush") == ["parse", "compose"]
-    (out / "objects" / "scene.txt").unlink()
+    (out / "compose" / "scene.json").unlink()
     assert _two_steps(out, "resume", text="bush") == ["compose"]
 
 
@@ -65,7 +65,7 @@ def test_redo_keeps_edits_of_earlier_steps_and_so_does_a_later_resume(tmp_path):
     _two_steps(out)
     (out / "tree.json").write_text("edited")
     assert _two_steps(out, "redo", step="compose") == ["compose"]
-    assert (out / "objects" / "scene.txt").read_text() == "editededited"
+    assert (out / "compose" / "scene.json").read_text() == "editededited"
     assert read_run(out)["steps"]["parse"]["edited"] == ["tree.json"]
     assert _two_steps(out, "resume") == []
 
@@ -147,7 +147,7 @@ def test_overwrite_deletes_what_the_run_wrote_and_nothing_else(tmp_path):
     (out / "notes.txt").write_text("mine")
     with RunFolder(out, Config(), "overwrite"):
         assert not (out / "tree.json").exists()
-        assert not (out / "objects").exists()
+        assert not (out / "compose").exists()
     assert (out / "notes.txt").read_text() == "mine"
     assert _two_steps(out, "overwrite") == ["parse", "compose"]
 
@@ -167,13 +167,36 @@ def test_files_of_removed_objects_are_deleted(tmp_path):
 
 def test_a_repeated_step_deletes_files_that_it_no_longer_writes(tmp_path):
     out = tmp_path / "out"
-    for name in ("a", "b"):
+    for name in ("scene.xml", "scene.sdf"):
         with RunFolder(out, Config(), "resume") as run:
             with run.step("export", {"name": name}) as stage:
                 assert stage is not None
                 (stage / name).write_text(name)
-    assert not (out / "a").exists()
-    assert (out / "b").exists()
+    assert not (out / "scene.xml").exists()
+    assert (out / "scene.sdf").exists()
+
+
+def test_a_step_that_writes_a_file_which_is_not_its_own_is_an_error(tmp_path):
+    """Otherwise, a run folder would list a file that its reader refuses."""
+    with pytest.raises(ValueError, match=r"step refine wrote photo\.png"):
+        with RunFolder(tmp_path / "out", Config()) as run, run.step("refine", {}) as stage:
+            assert stage is not None
+            (stage / "photo.png").write_text("")
+
+
+@pytest.mark.parametrize("name", [b"bad\xff.png".decode(errors="surrogateescape"), "\U0001f375 é"])
+def test_names_are_written_so_that_a_run_is_read_again(tmp_path, name):
+    with pytest.raises(RunError), RunFolder(tmp_path / "out", Config()) as run:
+        run.record("photo", name=name)
+        run.note("parse", f"{name} is dark", name)
+        raise RunError(f"cannot read {name}")
+    data = read_run(tmp_path / "out")
+    read_back = name.encode(errors="replace").decode()
+    assert data["photo"]["name"] == read_back
+    assert data["notes"][0]["why"] == read_back
+    assert data["error"].endswith(read_back)
+    with RunFolder(tmp_path / "out", Config(), "resume"):
+        pass
 
 
 @pytest.mark.parametrize("what", ["file", "foreign", "foreign run.json", "below a file"])
@@ -213,6 +236,14 @@ def test_a_failed_step_leaves_no_file_and_sets_the_status(tmp_path):
     assert read_run(out)["status"] == "failed"
     assert read_run(out)["steps"] == {}
     assert _two_steps(out, "resume") == ["parse", "compose"]
+
+
+def test_a_run_in_a_thread_that_ctrl_c_ends_is_interrupted(tmp_path):
+    """The thread of a page gets a RuntimeError from executors when the interpreter ends."""
+    with pytest.raises(RuntimeError), RunFolder(tmp_path / "out", Config()):
+        raise RuntimeError("cannot schedule new futures after interpreter shutdown")
+    data = read_run(tmp_path / "out")
+    assert (data["status"], data["error"]) == ("interrupted", "KeyboardInterrupt")
 
 
 def test_unknown_steps_list_the_choices(tmp_path):
@@ -281,3 +312,25 @@ def test_a_full_file_system(tmp_path):
         assert _two_steps(disk / "out", "resume") == ["parse", "compose"]
     finally:
         subprocess.run(["umount", disk], check=True)
+
+
+CHANGED_INPUTS = {
+    "options": (RefineOptions(), RefineOptions(finalists=9)),
+    "nested options": (Config().refine, RefineOptions(cem=CEMOptions(population=9))),
+    "seed": (1, 2),
+    "value": ({"a": [1, None]}, {"a": [1, 0]}),
+    "bytes": (b"a", b"b"),
+}
+
+
+@pytest.mark.parametrize("kind", CHANGED_INPUTS)
+@pytest.mark.parametrize("key", ["options", "seed", "anything"])
+def test_every_input_of_a_step_decides_whether_it_runs_again(tmp_path, kind, key):
+    ran = []
+    for value in (0, 0, 1, 1, 0):
+        with RunFolder(tmp_path / "out", Config(), "resume") as run:
+            inputs = {"before": 1, key: CHANGED_INPUTS[kind][value], "text": "same"}
+            with run.step("parse", inputs) as stage:
+                ran.append(stage is not None)
+            run.finish()
+    assert ran == [True, False, True, False, True]

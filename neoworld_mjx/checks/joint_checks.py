@@ -57,6 +57,10 @@ class JointChecks:
     """Pairs of parts that overlap too deeply with all joints at zero, with the depth [m]."""
 
 
+SWEEP_S = 30.0
+"""Limit of the processor time of the checks of an object's joints [s]; 79 joints take 7 s."""
+
+
 def check_joints(
     spec: ObjectSpec, options: VerifyOptions, allowances: Sequence[Allowance] = ()
 ) -> JointChecks:
@@ -69,8 +73,11 @@ def check_joints(
         spec: the object.
         options: thresholds and the resolution of the sweep.
         allowances: overlaps that the object's program declares.
+
+    Raises:
+        OutOfTime: the checks take over `SWEEP_S` of processor time.
     """
-    probe = Probe(spec)
+    probe = Probe(spec, SWEEP_S)
     placeholders = [part.name for part in spec.parts if is_placeholder(part)]
     sweep = sweep_joints(probe, options, allowances, ignored=placeholders)
     free = {

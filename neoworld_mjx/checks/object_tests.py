@@ -15,13 +15,13 @@ import numpy as np
 from ..config import VerifyOptions
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
-from .joint_checks import JointChecks, check_joints
+from .joint_checks import SWEEP_S, JointChecks, check_joints
 from .motion_checks import check_motion
-from .scenarios import list_scenarios
+from .scenarios import affordable, list_scenarios
 from .signals import Allowance
-from .simulation import Simulation, Trajectory
-from .static_checks import check_statics, without_bad_inertia
-from .verdict import Check, ScenarioKind, Verdict
+from .simulation import TIMESTEP_S, Simulation, Trajectory
+from .static_checks import OutOfTime, check_statics, without_bad_inertia
+from .verdict import BUDGET, Check, ScenarioKind, Verdict, skipped
 
 VERSION = "9"
 """Version of the object tests, which is part of the key of cached results.
@@ -80,6 +80,14 @@ def run_object_tests(
         scenarios = list_scenarios(
             simulation.groups, simulation.joints, options, fixed_base=fixed_base
         )
+        steps = round(options.duration_s / TIMESTEP_S)
+        scenarios, left_out = affordable(scenarios, steps, simulation.model.nv)
+        if left_out:
+            reason = (
+                f"{len(left_out)} parts and joints are neither pushed nor moved, because the "
+                f"object has too many for one test: {', '.join(left_out[:5])}"
+            )
+            checks.append(skipped("force_perturbation", BUDGET, reason))
         trajectories = simulation.run(scenarios, threads)
         checks += list(check_motion(simulation, trajectories))
     verdict = Verdict(
@@ -97,6 +105,9 @@ def _record_error(scenario: ScenarioKind, checks: list[Check]) -> Iterator[None]
     """Convert an error that the tests raise into a check with the outcome TOOL_FAILURE."""
     try:
         yield
+    except OutOfTime:
+        hint = f"it takes over {SWEEP_S:g} s of processor time; use fewer shapes and joints"
+        checks.append(Check(scenario=scenario, name="runs", outcome="TOOL_FAILURE", hint=hint))
     except (ValueError, mujoco.FatalError, np.linalg.LinAlgError) as error:
         hint = str(error)[:300]
         checks.append(Check(scenario=scenario, name="runs", outcome="TOOL_FAILURE", hint=hint))

@@ -5,6 +5,7 @@ all scenarios of an object in one batch. The two standard scenarios of the paper
 3) are the fall named "fall" and the pushes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -22,6 +23,9 @@ World = Literal["free", "fixed_base", "weightless"]
 """
 SINGLE_DOF_TYPES = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom. Ball joints are neither released nor driven."""
+MOST_S = 40.0
+"""Largest estimate of the processor time of an object's scenarios [s]; an object of 20 joints is
+within it."""
 DROP_HEIGHT_M = 0.005
 """Height of the free falls [m]."""
 FALL_TILT_DEG = 3.0
@@ -92,6 +96,34 @@ def list_scenarios(
     for joint in joints:
         scenarios += [*_releases(joint), *_drives(joint)]
     return scenarios
+
+
+def affordable(
+    scenarios: Sequence[Scenario], steps: int, dofs: int
+) -> tuple[list[Scenario], list[str]]:
+    """Return the scenarios to simulate, and the parts and joints that are left out.
+
+    If all scenarios take over `MOST_S` by an estimate, those of parts and joints that are spread
+    evenly over the object are simulated, so that the time of every object is bounded. The estimate
+    depends on the object only, so equal objects have equal checks on every machine.
+
+    Args:
+        scenarios: all scenarios of an object; those without a part or joint are falls.
+        steps: steps of each scenario.
+        dofs: degrees of freedom of the object's model.
+    """
+    most = MOST_S / (steps * (4e-6 * dofs + 1.5e-9 * dofs**3))
+    if len(scenarios) <= most:
+        return list(scenarios), []
+    subject = lambda scenario: scenario.part or scenario.joint
+    subjects = list(dict.fromkeys(filter(None, map(subject, scenarios))))
+    falls = [scenario for scenario in scenarios if subject(scenario) is None]
+    falls = falls[: max(1, int(most))]
+    share = max(0.0, most - len(falls)) / len(scenarios)
+    count = int(share * len(subjects))
+    kept = {subjects[int(k)] for k in np.linspace(0, len(subjects) - 1, count)}
+    rest = [scenario for scenario in scenarios if subject(scenario) in kept]
+    return [*falls, *rest], [name for name in subjects if name not in kept]
 
 
 def _falls() -> list[Scenario]:

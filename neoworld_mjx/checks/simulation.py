@@ -75,6 +75,9 @@ class Simulation:
             mjspec.add_sensor(name=kind.name, type=kind)
         free = mjspec.compile()
         free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        # From 60 degrees of freedom on, MuJoCo chooses sparse matrices, which take three times as
+        # long for a chain of 80 joints.
+        free.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         # With soft dry friction, a stuck joint creeps and would appear to move, so friction is
         # stiff. If damping stops a joint within one step, stiff friction would drive the joint.
         damping = free.dof_damping.reshape(free.nv, -1)[:, 0]

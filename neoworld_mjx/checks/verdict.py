@@ -269,6 +269,10 @@ def make_check(
     )
 
 
+BUDGET = "budget"
+"""Name of the check that is skipped if an object has too many parts and joints for one test."""
+
+
 def skipped(scenario: ScenarioKind, name: str, reason: str, joint: str | None = None) -> Check:
     """Return a check with the outcome SKIP, and with the reason as its hint."""
     return Check(scenario=scenario, name=name, outcome="SKIP", joint=joint, hint=reason)

@@ -102,10 +102,11 @@ class DoctorCommand(Command):
 
         import jax
 
-        from ..cache import cache_folder
+        from ..cache import cache_folder, check_jax
         from ..engines import ENGINES
         from ..run_folder import versions
 
+        check_jax()
         cache = cache_folder()
         return {
             "system": platform.platform(),

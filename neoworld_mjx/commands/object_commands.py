@@ -26,7 +26,8 @@ class CheckCommand(AssetCommand):
     """
 
     target: Positional[Path]
-    """A run folder, a scene.json, a program (.py), a URDF, MJCF or glTF file."""
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF, MJCF or glTF
+    file."""
     fixed_base: bool = False
     """Fix the object's base, and check only its joints."""
     repair: bool = False
@@ -40,10 +41,21 @@ class CheckCommand(AssetCommand):
         config = self.load_config()
         notes: list[str] = []
         scene: SceneSpec | None = None
-        from ..export.importing import FILES, USD, ImportedScene, import_file, only_object
+        from ..export.importing import (
+            FILES,
+            USD,
+            Imported,
+            ImportedScene,
+            import_file,
+            only_object,
+        )
+        from ..verify.checking import object_of_file
 
-        suffix = self.target.suffix.lower()
-        imported = import_file(self.target) if suffix in (*FILES, *USD) else None
+        target = self._file()
+        suffix = target.suffix.lower()
+        imported = import_file(target) if suffix in (*FILES, *USD) else None
+        if target.name == "spec.json":
+            imported = Imported(object_of_file(target, config.program), ())
         if isinstance(imported, ImportedScene) and (self.repair or self.fixed_base):
             imported = only_object(imported) or imported
         if isinstance(imported, ImportedScene):
@@ -52,7 +64,7 @@ class CheckCommand(AssetCommand):
             from ..verify.checking import check_object
 
             return check_object(
-                self.target,
+                target,
                 config,
                 imported=imported,
                 fixed_base=self.fixed_base,
@@ -63,20 +75,28 @@ class CheckCommand(AssetCommand):
             raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
         return self._check_scene(scene, notes, config)
 
+    def _file(self) -> Path:
+        """Return the target or, if it is the folder of an object, the file of the object."""
+        folder = self.target
+        if not any((folder / name).is_file() for name in ("run.json", "scene.json")):
+            for name in ("program.py", "spec.json"):
+                if (folder / name).is_file():
+                    return folder / name
+        return folder
+
     def _check_scene(
         self, scene: "SceneSpec | None", notes: list[str], config: "Config"
     ) -> CommandResult:
         """Check an imported scene or, if it is None, the scene of the target."""
-        from ..config import load_config
         from ..measure import measured, scene_checks, with_displacement
-        from ..run_folder import read_run
+        from ..run_folder import read_run, run_options
         from ..spec import read_scene
 
         spec, options, run = scene or read_scene(self.target), config.refine, None
         if (self.target / "run.json").is_file():
             run = read_run(self.target)
             if self.config is None and not self.set:
-                options = load_config(None, {"refine": run["config"].get("refine", {})}).refine
+                options = run_options(self.target, {}).refine
         measure = measured(spec, options)
         if run is not None:
             measure = with_displacement(measure, run["metrics"].get("displacement"))
@@ -93,7 +113,7 @@ class CheckCommand(AssetCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, _listings(self.target, result))
+        return object_check_lines(result, _listings(Path(result["target"]), result))
 
 
 @dataclass(frozen=True, kw_only=True)

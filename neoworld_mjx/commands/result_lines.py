@@ -50,7 +50,7 @@ def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[s
         result: result of `check`.
         listings: formatted signals of the object's program.
     """
-    from ..checks.verdict import Check
+    from ..checks.verdict import BUDGET, Check
 
     rows = list(listings)
     if "object" not in result:
@@ -73,6 +73,7 @@ def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[s
             for check in failed
         ]
     )
+    rows += [f"not tested: {e['hint']}" for e in result["checks"] if e["name"] == BUDGET]
     if (repair := result.get("repair")) is not None:
         rows.append(f"repair: {reasons(repair['changes']) or 'no repair succeeded'}")
     rows += [f"{key}: {result[key]}" for key in ("patch", "folder") if key in result]

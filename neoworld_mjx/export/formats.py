@@ -1,10 +1,11 @@
 """Files of a scene or an object: those of a run folder, and those of `neoworld export`."""
 
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-from pxr import Sdf, UsdUtils
+from pxr import Sdf, Tf, UsdUtils
 
 from ..errors import ExportError
 from ..io.files import write_inside
@@ -255,8 +256,7 @@ def _stem(described: SceneOrObject) -> str:
 def _package(described: SceneOrObject) -> bytes:
     """Return a USDZ package of a scene or an object, with its textures."""
     stem = _stem(described)
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder)
+    with _temporary_folder() as root:
         _write(_files(described, ["usd"]), root)
         package = root / f"{stem}.usdz"
         if not UsdUtils.CreateNewUsdzPackage(str(root / f"{stem}.usdc"), str(package)):
@@ -278,9 +278,26 @@ def _floor_height(described: SceneOrObject) -> float:
     return float(min([0.0, *lows]))
 
 
+@contextmanager
+def _temporary_folder() -> Iterator[Path]:
+    """Create a folder in which USD writes.
+
+    Raises:
+        ExportError: USD cannot write there, such as to a full disk.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder)
+    except Tf.ErrorException as error:
+        reason = str(error).strip().strip("'").rpartition(": ")[2]
+        raise ExportError(
+            f"USD cannot write to {tempfile.gettempdir()}: {reason}; free some space, or set TMPDIR"
+        ) from None
+
+
 def _binary(layer: Sdf.Layer) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "layer.usdc"
+    with _temporary_folder() as folder:
+        path = folder / "layer.usdc"
         if not layer.Export(str(path)):
             raise ExportError(f"USD cannot write {path}")
         return path.read_bytes()

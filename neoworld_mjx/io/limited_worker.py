@@ -359,15 +359,22 @@ def _limit() -> None:
     """Limit the address space, the processor time and the file size of this process."""
     bounds = file_bounds()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _lower(resource.RLIMIT_CORE, 0)
     if _LINUX:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         space = pages * resource.getpagesize() + bounds.memory_mib * MIB
-        resource.setrlimit(resource.RLIMIT_AS, (space, space))
+        _lower(resource.RLIMIT_AS, space)
     seconds = math.ceil(bounds.timeout_s)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
-    size = bounds.memory_mib * MIB
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    _lower(resource.RLIMIT_CPU, seconds, seconds + 1)
+    _lower(resource.RLIMIT_FSIZE, bounds.memory_mib * MIB)
+
+
+def _lower(kind: int, soft: int, hard: int | None = None) -> None:
+    """Lower a limit of this process; a lower limit of the caller's shell stays."""
+    current = resource.getrlimit(kind)[1]
+    largest = float("inf") if current == resource.RLIM_INFINITY else current
+    allowed = [int(min(value, largest)) for value in (soft, soft if hard is None else hard)]
+    resource.setrlimit(kind, (allowed[0], allowed[1]))
 
 
 if __name__ == "__main__":

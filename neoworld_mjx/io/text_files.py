@@ -128,6 +128,17 @@ def read_model(path: Path, schema: type[T], error: type[NeoWorldError], kind: st
         raise error(_too_deep(path)) from None
 
 
+def strict_json(value: Any) -> Any:
+    """Return a value as plain JSON that `read_json` accepts.
+
+    NumPy scalars become numbers, NaN and Infinity become null, and unpaired surrogates, with which
+    Python represents file names that are not UTF-8, become "?".
+    """
+    text = json.dumps(value, default=lambda scalar: scalar.item(), ensure_ascii=False)
+    plain = text.encode("utf-8", "replace").decode()
+    return json.loads(plain, parse_constant=lambda _: None)
+
+
 def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
     """Read the text of a JSON file and check that its number of values is within the limit."""
     text = read_untrusted_text(path, error, kind)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..config import RefineOptions
-from ..errors import RunError
+from ..errors import CROWDED, EngineError, RunError
 from ..physics.colliders import object_depths, start_state
 from ..quantities import format_quantity
 from ..spec import SceneObject, SceneSpec, Spec
@@ -80,6 +80,9 @@ def scene_measure(
         max_depth: penetration bound [m].
         max_drift: translation bound [m].
         max_tilt: rotation bound [deg].
+
+    Raises:
+        EngineError: the scene has more contacts than MuJoCo's memory holds.
     """
     model, data = start_state(scene, timestep)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -147,6 +150,9 @@ def _simulate(
 ) -> tuple[NDArray[np.float64], bool]:
     """Simulate a scene from the state in `data`, in one call to MuJoCo.
 
+    Raises:
+        EngineError: MuJoCo ignored contacts, for which its memory was full.
+
     Returns:
         qpos after each step, shape [step, nq]; and True if the simulation stayed finite. If it did,
         `data` is set to the last state.
@@ -157,6 +163,8 @@ def _simulate(
     states, _ = rollout.rollout(model, data, initial_state=state[None], nstep=steps)
     states = np.asarray(states).reshape(steps, -1)
     w = mujoco.mjtWarning
+    if any(data.warning[k].number for k in (w.mjWARN_CONTACTFULL, w.mjWARN_CNSTRFULL)):
+        raise EngineError(f"the scene has more contacts than MuJoCo's memory holds: {CROWDED}")
     bad = (w.mjWARN_BADQPOS, w.mjWARN_BADQVEL, w.mjWARN_BADQACC)
     finite = bool(np.isfinite(states).all()) and not any(data.warning[k].number for k in bad)
     if finite:

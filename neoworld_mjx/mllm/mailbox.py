@@ -24,6 +24,7 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from pydantic import BaseModel
 from ..config import RoleOptions
 from ..errors import ModelError
 from ..io import read_model
-from ..io.files import irregular_entry, read_bytes, write_inside
+from ..io.files import irregular_entry, open_parent, read_bytes, write_at, write_inside
 from ..io.names import file_name
 from .requests import (
     MAX_BODY_BYTES,
@@ -48,10 +49,10 @@ from .requests import (
 _log = logging.getLogger(__name__)
 PACKAGE = __name__.partition(".")[0]
 """Name of the package and of its logger."""
+RESPONSE, ERROR, TICKET, WAITING = "response.json", "error.md", "request.json", "waiting.md"
 POLL_S = 0.2
 """Interval at which the folders are polled [s]."""
-WAITING, ERROR = "waiting.md", "error.md"
-PICTURES, RESPONSE = "\n\n## Pictures\n\n", "\n\n## Response\n\n"
+PICTURES, END = "\n\n## Pictures\n\n", "\n\n## Response\n\n"
 """Headings of prompt.md; the first one ends the instructions, and the second the request."""
 UNCHANGED_S = 3.0
 """Age of a file from which on incomplete JSON in it is rejected [s]."""
@@ -89,22 +90,25 @@ class Mailbox:
         """Write the request into a folder and wait for a valid response.
 
         Raises:
-            ModelError: the folder cannot be written, or the wait took longer than `timeout_s`.
+            ModelError: the folder cannot be written, it was removed or replaced during the wait, or
+                the wait took longer than `timeout_s`.
         """
         del role, rejected
         try:
             # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 folder = await asyncio.to_thread(self._folder_of, request)
-            write_inside(self._folder, f"{folder.name}/{WAITING}", "A run waits for a response.\n")
-            if not (folder / "response.json").exists():
-                _announce(
-                    f"mailbox: {request.name} ({request.role}) waits for {folder / 'response.json'}"
-                )
+            waiting = f"{folder.name}/{WAITING}"
+            write_inside(self._folder, waiting, "A run waits for a response.\n")
+            if not os.path.lexists(folder / RESPONSE):
+                waits = f"{request.name} ({request.role}) waits for {folder / RESPONSE}"
+                _announce(f"mailbox: {waits}")
             try:
                 text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
             finally:
-                (folder / WAITING).unlink(missing_ok=True)
+                # The folder may be gone, or lead elsewhere.
+                with suppress(OSError, ModelError), open_parent(self._folder, waiting) as (at, _):
+                    os.unlink(WAITING, dir_fd=at)
         except TimeoutError:
             raise ModelError(
                 f"{request.name}: no valid response.json in {self._folder} within "
@@ -124,7 +128,7 @@ class Mailbox:
         if self._folder.is_dir() and (entry := irregular_entry(self._folder)):
             name, kind = entry
             raise ModelError(f"mailbox {self._folder}: {name} is {kind}; remove it")
-        for ticket in sorted(self._folder.glob("[0-9]*/request.json")):
+        for ticket in sorted(self._folder.glob(f"[0-9]*/{TICKET}")):
             try:
                 if read_model(ticket, _Ticket, ModelError, "a request").key == request.key:
                     return ticket.parent
@@ -149,41 +153,62 @@ class Mailbox:
         for name, text in (
             ("prompt.md", _prompt(request, files)),
             ("schema.json", json.dumps(request.json_schema, indent=1) + "\n"),
-            ("request.json", ticket.model_dump_json(indent=1) + "\n"),
+            (TICKET, ticket.model_dump_json(indent=1) + "\n"),
         ):
             write_inside(self._folder, f"{partial.name}/{name}", text)
         begun = (re.match(r"(\d{1,9})-", path.name) for path in self._folder.iterdir())
-        numbers = [int(match[1]) for match in begun if match]
-        folder = self._folder / f"{max(numbers, default=0) + 1:04d}-{slug}"
+        number = max((int(match[1]) for match in begun if match), default=0) + 1
+        while os.path.lexists(folder := self._folder / f"{number:04d}-{slug}"):
+            number += 1
         return partial.rename(folder)
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
-        path, max_bytes = folder / "response.json", MAX_BODY_BYTES
-        while True:
-            if os.path.lexists(path):
-                text = read_bytes(path, max_bytes, follow=False).decode("utf-8", errors="replace")
-                try:
-                    read_response(text, request.schema)
-                except InvalidResponse as error:
-                    unchanged = abs(time.time() - path.lstat().st_mtime) >= UNCHANGED_S
-                    if unchanged or is_json(text):
-                        self._reject(folder, str(error))
-                else:
-                    (folder / ERROR).unlink(missing_ok=True)
-                    return text
-            await asyncio.sleep(POLL_S)
+        """Wait for a valid response in a folder, which stays the one that was opened here."""
+        path = folder / RESPONSE
+        with open_parent(self._folder, f"{folder.name}/{RESPONSE}") as (opened, _):
+            while True:
+                _check_same(opened, folder)
+                with suppress(FileNotFoundError):  # There is no response yet, or no more.
+                    data = read_bytes(path, MAX_BODY_BYTES, follow=False, parent=opened)
+                    text = data.decode("utf-8", errors="replace")
+                    try:
+                        read_response(text, request.schema)
+                    except InvalidResponse as error:
+                        written = os.stat(RESPONSE, dir_fd=opened, follow_symlinks=False).st_mtime
+                        if abs(time.time() - written) >= UNCHANGED_S or is_json(text):
+                            _reject(opened, folder, str(error))
+                    else:
+                        with suppress(FileNotFoundError):
+                            os.unlink(ERROR, dir_fd=opened)
+                        return text
+                await asyncio.sleep(POLL_S)
 
-    def _reject(self, folder: Path, reason: str) -> None:
-        count = 1 + sum(1 for _ in folder.glob("response.rejected-*.json"))
-        rejected_name = f"response.rejected-{count}.json"
-        (folder / "response.json").rename(folder / rejected_name)
-        write_inside(
-            self._folder,
-            f"{folder.name}/{ERROR}",
-            f"# Response {count} was rejected\n\n{reason}\n\n"
-            f"It was moved to {rejected_name}. "
-            "Write a corrected response.json that fits schema.json.\n",
+
+def _check_same(opened: int, folder: Path) -> None:
+    """Raise a ModelError if another folder, a link or nothing has taken the place of a folder."""
+    expected = os.fstat(opened)
+    try:
+        os.stat(TICKET, dir_fd=opened, follow_symlinks=False)
+        actual = os.stat(folder, follow_symlinks=False)
+    except OSError:
+        actual = None
+    if actual is None or not os.path.samestat(expected, actual):
+        raise ModelError(
+            f"{folder} was removed or replaced while the run waited for its response; resume the "
+            "run, which writes the request again"
         )
+
+
+def _reject(opened: int, folder: Path, reason: str) -> None:
+    """Rename the response in an open folder, and write the reason."""
+    count = 1 + sum(name.startswith("response.rejected-") for name in os.listdir(opened))
+    rejected_name = f"response.rejected-{count}.json"
+    os.rename(RESPONSE, rejected_name, src_dir_fd=opened, dst_dir_fd=opened)
+    text = (
+        f"# Response {count} was rejected\n\n{reason}\n\nIt was moved to {rejected_name}. "
+        f"Write a corrected {RESPONSE} that fits schema.json.\n"
+    )
+    write_at(opened, folder / ERROR, text)
 
 
 def _announce(line: str) -> None:
@@ -205,7 +230,7 @@ def _prompt(request: Request[Any], files: Sequence[str]) -> str:
     return (
         f"# {request.name} ({request.role})\n\n{request.system}"
         f"{PICTURES}{pictures or 'none'}\n\n## Request\n\n{request.prompt}"
-        f"{RESPONSE}Write one JSON object that fits schema.json to response.json in this "
+        f"{END}Write one JSON object that fits schema.json to response.json in this "
         f"folder. If it does not fit, error.md says why and the run waits again."
         f"{previewed if request.role == 'reasoner' else ''}\n"
     )

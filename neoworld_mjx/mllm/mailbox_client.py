@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ..errors import ModelError, choices
 from ..io.files import read_bytes, write_inside
-from .mailbox import ERROR, PICTURES, RESPONSE, WAITING
+from .mailbox import END, ERROR, PICTURES, WAITING
 from .requests import MAX_BODY_BYTES, Picture
 
 POLL_S = 0.05
@@ -65,7 +65,7 @@ def read_request(mailbox: Path, name: str | None = None) -> OpenRequest:
         raise ModelError(f"request {folder.name} cannot be read: {error}") from None
     first, _, rest = whole.partition(PICTURES)
     title, _, instructions = first.partition("\n\n")
-    prompt = rest.partition("\n\n## Request\n\n")[2].rpartition(RESPONSE)[0]
+    prompt = rest.partition("\n\n## Request\n\n")[2].rpartition(END)[0]
     return OpenRequest(folder.name, title.strip("# "), instructions, prompt, schema, pictures)
 
 

@@ -60,12 +60,16 @@ def bundled_examples() -> dict[str, BundledExample]:
 def photo_of(photo: Path) -> Path:
     """Return `photo` itself, or the photograph of the example with this name.
 
+    A folder with the name of an example, such as that of its run, does not hide the example.
+
     Raises:
         PhotoError: neither a file nor an example has this name.
     """
-    if photo.exists() or photo.suffix or len(photo.parts) != 1:
+    if photo.is_file() or photo.suffix or len(photo.parts) != 1:
         return photo
     examples = bundled_examples()
+    if photo.name not in examples and photo.exists():
+        return photo
     if photo.name not in examples:
         raise PhotoError(
             f"{photo} is neither a file nor an example: {choices(photo.name, examples)}"

@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..config import Config, load_config, merged
+from ..config import Config
 from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..names import Step
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
-from ..run_folder import STEPS, Mode, Result, RunFolder, read_run
+from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options
 from ..spec import read_scene
 from .compose_step import compose_scene
 from .given_evidence import Given, evidence_of_run, keep_evidence, kept_inputs, undistorted_photo
@@ -189,7 +189,7 @@ def refine_again(
     if not (folder / COMPOSED).is_file():
         raise RunError(f"{folder} has no composed scene yet; continue with reconstruct --resume")
     if config is None:
-        config = earlier_options(folder, earlier["config"], over or {})
+        config = earlier_options(folder, over or {})
     config = _checked_config(config)
     with bounded_by(config.files):
         models = None
@@ -207,21 +207,14 @@ def refine_again(
             return finish(run, None)
 
 
-def earlier_options(folder: Path, data: dict[str, Any], over: dict[str, Any]) -> Config:
-    """Return the options of an earlier run, which may come from an untrusted source.
-
-    Args:
-        folder: the run folder.
-        data: options in the folder's run.json.
-        over: options that override `data`.
+def earlier_options(folder: Path, over: dict[str, Any]) -> Config:
+    """Return the options with which the refinement of a run is repeated; see `run_options`.
 
     Raises:
-        ConfigError: the options are invalid, or name code to run or a server to send a key to.
+        ConfigError: as in `run_options`, or the options name code to run, or a server to send a key
+            to.
     """
-    try:
-        config = load_config(None, merged(data, over))
-    except ConfigError as error:
-        raise ConfigError(f"{folder / 'run.json'}: {error}; give options by --config") from None
+    config = run_options(folder, over)
     refuse_code(config, str(folder / "run.json"))
     calls_models = config.refine.semantic.scorer == "mllm"
     if calls_models and (config.mllm.base_url is not None or config.mllm.prices is not None):

@@ -17,6 +17,7 @@ import re
 import signal
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from functools import cache
 from importlib import import_module, resources
 from typing import Any
@@ -183,6 +184,8 @@ WALL_FACTOR = 30.0
 """Ratio of the wall time limit, which ends programs that wait, to the processor time limit."""
 MAX_RECURSION, MAX_CALLS = 200, 5000
 """Limits on the recursion depth of a program, and on its calls of the SDK."""
+CLOCK = datetime(2000, 1, 1, tzinfo=UTC)
+"""Time at which every program runs, so that equal texts build equal objects."""
 MAX_PRINTED_BYTES = 20_000
 """Limit on the text that a program prints."""
 _START_S = 30.0
@@ -271,7 +274,11 @@ def run_sandboxed(text: str, session: Session, options: ProgramOptions) -> tuple
         "max_recursion_depth": MAX_RECURSION,
         "max_suspensions": MAX_CALLS,
     }
-    policy: monty.OSPolicy = {"sleep": "zero", "random_start": {"seed": 0}}
+    policy: monty.OSPolicy = {
+        "datetime": CLOCK,
+        "sleep": "zero",
+        "random_start": {"seed": 0},
+    }
     errors: list[Signal] = []
     starts = [0, *(match.end() for match in re.finditer(rb"\n", text.encode()))]
     try:

@@ -329,16 +329,16 @@ class Part:
                     f"{context}: the name {wanted!r} is taken by another shape of the part"
                 )
             self._named.add(wanted)
-            if wanted not in used:
-                used.add(wanted)
+            if wanted.lower() not in used:
+                used.add(wanted.lower())
                 return wanted
             # A program that makes parts in a loop may name a shape "knob" in each of them.
             wanted = f"{self.name[:20]}_{wanted[:20]}"
         label, count = wanted, len(self._geoms)
-        while label is None or label in used:
+        while label is None or label.lower() in used:
             label = f"{(wanted or self.name)[:40]}_{count}"
             count += 1
-        used.add(label)
+        used.add(label.lower())
         return label
 
 

@@ -271,7 +271,7 @@ class Object(Furniture):
             roughness: from 0 (a mirror) to 1; by default the value of the substance in the name.
         """
         context = f"material {validate.name(name, 'material name')!r}"
-        if name in self._materials:
+        if name.lower() in map(str.lower, self._materials):
             raise ValueError(f"{context} is defined twice")
         base = MATERIALS.get(name) if like is None else self._known_material(like, context)
         if base is None and density is None:

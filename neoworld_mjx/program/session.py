@@ -244,9 +244,9 @@ def name(value: Any, argument: str) -> str:
 
 
 def unused(value: str, kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError if a name is in `names`."""
-    if value in names:
-        raise ValueError(f"{kind} {value!r} exists already")
+    """Raise ValueError if a name, ignoring its case, is in `names`."""
+    if twice := [name for name in names if name.lower() == value.lower()]:
+        raise ValueError(f"{kind} {twice[0]!r} exists already")
 
 
 def text(value: Any, argument: str, maximum: int = 200) -> str:

@@ -4,6 +4,7 @@ import base64
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -139,10 +140,19 @@ def base64_png(image: NDArray) -> str:
 
 
 def print_png(material: Material) -> bytes:
-    """Return the texture of a printed material as PNG: the print above a strip of plain color."""
+    """Return the texture of a printed material as PNG: the print above a strip of plain color.
+
+    Recent results are cached, because the encoding dominates the time of an export.
+    """
     assert material.photo is not None
-    colours = read_print(material.photo).colours
-    plain = np.round(255 * np.array(material.rgba[:3])).astype(np.uint8)
+    photo: Any = material.photo  # Frozen models are hashable.
+    return _print_png(photo, material.rgba[:3])
+
+
+@lru_cache(maxsize=64)
+def _print_png(photo: PhotoPrint, rgb: tuple[float, float, float]) -> bytes:
+    colours = read_print(photo).colours
+    plain = np.round(255 * np.array(rgb)).astype(np.uint8)
     strip = np.broadcast_to(plain, (STRIP, colours.shape[1], 3))
     content = BytesIO()
     Image.fromarray(np.concatenate([colours, strip])).save(content, format="PNG", optimize=True)

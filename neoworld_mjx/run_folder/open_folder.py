@@ -23,9 +23,10 @@ from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
 from ..io.files import content_hash, write_atomic, write_inside
 from ..io.names import printable
+from ..io.text_files import strict_json
 from ..names import STEPS, Step
 from ..progress import report
-from .run_json import initial_record, read_run, strict_json
+from .run_json import initial_record, read_run
 from .staging import (
     STAGING,
     check_claimable,
@@ -42,6 +43,7 @@ from .staging import (
     replaced_files,
     set_aside,
     step_of,
+    writes,
 )
 
 _log = logging.getLogger(__name__)
@@ -182,10 +184,13 @@ class RunFolder:
                 self.save()
                 self._run_log.note(logging.INFO, f"run: {self.data['status']}")
                 return
-            interrupted = isinstance(error, KeyboardInterrupt)
+            # A run in a thread gets a RuntimeError if Ctrl-C ends the interpreter.
+            ended = isinstance(error, RuntimeError) and "shutdown" in str(error)
+            interrupted = isinstance(error, KeyboardInterrupt) or ended
             self.data["status"] = "interrupted" if interrupted else "failed"
             expected = isinstance(error, NeoWorldError)
-            self.data["error"] = str(error) if expected else type(error).__name__
+            cause = "KeyboardInterrupt" if interrupted else type(error).__name__
+            self.data["error"] = str(error) if expected else cause
             self._run_log.note(logging.ERROR, f"run: {self.data['status']}: {self.data['error']}")
             with contextlib.suppress(RunError):  # Report the first error.
                 self.save()
@@ -233,7 +238,12 @@ class RunFolder:
             staged.mkdir(parents=True)
             report(f"{name}: started", **_status(name, name))
             yield staged
-            names = [path.relative_to(staged).as_posix() for path in staged.rglob("*")]
+            names = [
+                path.relative_to(staged).as_posix() for path in staged.rglob("*") if path.is_file()
+            ]
+            unknown = [file for file in names if not writes(name, file)]
+            if unknown:
+                raise ValueError(f"step {name} wrote {unknown[0]}, which its pattern lacks")
             for other in sorted(later_writers(self.data["steps"], name, names)):
                 self._discard(other)
             if keep_versions(self.path, self.data["steps"], name, names):
@@ -322,7 +332,7 @@ class RunFolder:
     def save(self) -> None:
         """Write run.json atomically."""
         with disk_errors(self.path):
-            text = json.dumps(self.data, indent=1, allow_nan=False) + "\n"
+            text = json.dumps(strict_json(self.data), indent=1, allow_nan=False) + "\n"
             write_atomic(self.path / "run.json", text)
 
     def _open(self, config: Config, mode: Mode) -> None:

@@ -1,7 +1,7 @@
 """run.json: options, versions, steps, metrics and fallbacks of a run; and the result of a run."""
 
 import contextlib
-import json
+import logging
 import math
 import os
 import platform
@@ -14,11 +14,13 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
-from ..config import Config
-from ..errors import RunError
-from ..io import read_json
+from ..config import Config, load_config, merged
+from ..errors import ConfigError, RunError
+from ..io import file_bounds, read_json
 from ..io.files import stays_inside
 from ..io.text_files import validation_message
+from ..options import option_values
+from .staging import writes
 
 FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000
@@ -47,6 +49,18 @@ class _Step(BaseModel):
     inputs: dict[str, str]
     outputs: dict[_InsidePath, str]
     edited: list[_InsidePath] = []
+
+
+def _check_outputs(steps: dict[str, _Step]) -> dict[str, _Step]:
+    writers: dict[str, str] = {}
+    for part, entry in steps.items():
+        for name in entry.outputs:
+            if not writes(part, name):
+                raise ValueError(f"{part} does not write {name!r}")
+            if name in writers:
+                raise ValueError(f"both {writers[name]} and {part} list {name!r}")
+            writers[name] = part
+    return steps
 
 
 class _Fallback(BaseModel):
@@ -83,7 +97,7 @@ class _Record(BaseModel):
     error: str = ""
     started: str = ""
     fingerprint: str = ""
-    steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS)]
+    steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS), AfterValidator(_check_outputs)]
     fallbacks: _Entries
     notes: _Entries = []
     config: dict[str, Any] = {}
@@ -123,6 +137,53 @@ def read_run(path: Path) -> dict[str, Any]:
     return _EMPTY_SECTIONS | {"notes": []} | data
 
 
+MAX_STEPS_OF_SEARCH = 20_000_000
+"""Largest number of simulated steps of all candidates that the options of a run folder request."""
+_log = logging.getLogger(__name__)
+
+
+def run_options(folder: Path, over: Mapping[str, Any]) -> Config:
+    """Return the options of a run, which may come from an untrusted source.
+
+    The limits of files are those that are active, never those of the folder. A warning lists the
+    other options that are not the defaults.
+
+    Args:
+        folder: the run folder.
+        over: options that override those of the folder.
+
+    Raises:
+        RunError: the folder is not a run folder.
+        ConfigError: the options are invalid, or request a search of too many steps.
+    """
+    file = Path(folder) / "run.json"
+    data = {key: value for key, value in read_run(folder)["config"].items() if key != "files"}
+    try:
+        config = load_config(None, merged(data, dict(over)))
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}; give options by --config") from None
+    config = config.model_copy(update={"files": file_bounds()})
+    search, rollout = config.refine.cem, config.refine.rollout
+    steps = (
+        search.population * search.iterations * max(1.0, rollout.duration_s / rollout.timestep_s)
+    )
+    if steps > MAX_STEPS_OF_SEARCH:
+        raise ConfigError(
+            f"{file} requests a search of {steps:.3g} simulated steps ({search.iterations} "
+            f"iterations of {search.population} candidates); the limit is "
+            f"{MAX_STEPS_OF_SEARCH:.3g}: give options by --config or --set"
+        )
+    defaults = option_values(load_config(None, dict(over)))
+    applied = [
+        f"{path}={value}"
+        for path, value in option_values(config).items()
+        if value != defaults[path] and path.startswith(("refine.", "compose."))
+    ]
+    if applied:
+        _log.warning("options of %s that apply: %s", file, ", ".join(applied))
+    return config
+
+
 def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
     """Return the initial run.json of a run; steps, fallbacks and costs continue from `earlier`."""
     return {
@@ -139,12 +200,6 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         **({"evidence": earlier["evidence"]} if "evidence" in earlier else {}),
         "notes": earlier.get("notes", []),
     }
-
-
-def strict_json(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values as plain JSON: NumPy scalars become numbers, NaN and Infinity become null."""
-    text = json.dumps(values, default=lambda value: value.item())
-    return json.loads(text, parse_constant=lambda _: None)
 
 
 def versions() -> dict[str, str]:

@@ -9,6 +9,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,6 +30,28 @@ from ..io.files import (
 from ..names import STEPS
 
 LOCK, STAGING = ".lock", ".staging"
+_OBJECT = r"objects/\w+"
+_FILES: dict[str, str] = {
+    "parse": r"(tree|parse|annotation|given)\.json|photo\.png|pictures/parse\.png"
+    rf"|history/response/tree\.json|{_OBJECT}/spec\.json",
+    "program": rf"tree\.json|{_OBJECT}/(spec\.json|program\.json|\w+\.py)",
+    "verify": rf"{_OBJECT}/(spec|program|verify|program\.patch)\.json|{_OBJECT}/program\.py",
+    "compose": rf"tree\.json|compose/\w+\.json|pictures/\w+\.png"
+    rf"|{_OBJECT}/(spec\.json|program\.py)",
+    "refine": r"scene\.json|refine/(history\.npz|result\.json)",
+    "export": r"pictures/after\.png|package\.xml|drives\.xml|scene\.(xml|usda|sdf|dmd\.yaml)"
+    rf"|{_OBJECT}/(object\.\w+|drives\.xml|(meshes|textures)/[\w.-]+)",
+}
+"""Pattern of the paths that each step writes. Only these files are ever moved or deleted."""
+
+
+def writes(part: str, name: str) -> bool:
+    """Return True if a part of a step may write a file, or its version in the history."""
+    step = step_of(part)
+    path = PurePosixPath(name)
+    if path.parent.parts[-2:] == ("history", step):
+        name = (path.parents[2] / path.name).as_posix()
+    return step in _FILES and re.fullmatch(_FILES[step], name) is not None
 
 
 def check_claimable(folder: Path) -> None:

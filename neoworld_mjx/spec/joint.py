@@ -7,12 +7,20 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from ..errors import choices
-from .base import Direction3, Name, Number, Point3, ScalableSpec, Vec3, unit_vector
+from .base import (
+    Direction3,
+    Name,
+    NonNegative,
+    Number,
+    Point3,
+    Positive,
+    ScalableSpec,
+    Vec3,
+    unit_vector,
+)
 from .dimensions import ARMATURE, DAMPING, EFFORT, POSITION, RATIO, SPEED, STIFFNESS
 
 JointType = Literal["fixed", "revolute", "continuous", "prismatic", "ball"]
-NonNegative = Annotated[float, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
 
 
 def _is_empty(value: object) -> bool:
@@ -75,7 +83,7 @@ class JointSpec(ScalableSpec):
     @field_validator("axis")
     @classmethod
     def _unit(cls, value: Vec3) -> Vec3:
-        return unit_vector(value, "axis")
+        return unit_vector(value)
 
     @model_validator(mode="after")
     def _ordered(self) -> "JointSpec":

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from ..io.names import RESERVED, repeated
-from .base import Name, Point3, Quat, Rotation, ScalableSpec, Vec3, unit_vector
+from ..io.names import UNIQUE, repeated
+from .base import Name, ObjectName, Point3, Positive, Rotation, ScalableSpec, Vec3
 from .dimensions import (
     AUTHORED_MASS,
     DERIVED_MASS,
@@ -73,11 +73,6 @@ class GeomSpec(ScalableSpec):
     role: Role = "both"
     """Use of the geom: visible, colliding, or both. Only geoms that collide have mass."""
 
-    @field_validator("quat")
-    @classmethod
-    def _unit(cls, value: Quat) -> Quat:
-        return unit_vector(value, "quat")
-
     def pose(self) -> Pose:
         """Return the shape's pose in the object's frame."""
         return pose(self.pos, self.quat)
@@ -108,7 +103,7 @@ class PartSpec(ScalableSpec):
 
     name: Name
     geoms: tuple[GeomSpec, ...] = Field(min_length=1)
-    mass: Annotated[float, Field(gt=0), UNSCALED] | None = None
+    mass: Annotated[Positive, UNSCALED] | None = None
     """Authored mass [kg], which does not change with scale; if None, the mass is derived from
     volume and density."""
     inertia: AuthoredInertia | None = Field(default=None, exclude_if=lambda value: value is None)
@@ -133,7 +128,7 @@ class Site(ScalableSpec):
 class ObjectSpec(ScalableSpec):
     """An object: a tree of parts."""
 
-    name: Name
+    name: ObjectName
     label: str = ""
     """Kind of object, in words."""
     materials: tuple[Material, ...]
@@ -143,8 +138,6 @@ class ObjectSpec(ScalableSpec):
 
     @model_validator(mode="after")
     def _tree(self) -> "ObjectSpec":
-        if self.name in RESERVED:
-            raise ValueError(f"name: MuJoCo reserves {self.name!r}, choose another")
         parts = _unique("part", [part.name for part in self.parts])
         materials = _unique("material", [material.name for material in self.materials])
         _unique("geom", [geom.name for part in self.parts for geom in part.geoms])
@@ -235,5 +228,5 @@ def mass_exponent(part: PartSpec) -> float:
 
 def _unique(kind: str, names: list[str]) -> set[str]:
     if twice := repeated(names):
-        raise ValueError(f"{kind} names must be unique, repeated: {', '.join(twice)}")
+        raise ValueError(f"{kind} {UNIQUE}: {', '.join(twice)}")
     return set(names)

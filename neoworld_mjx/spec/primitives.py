@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from .base import Length, Number, ScalableSpec
+from .base import Length, Meters, ScalableSpec
 from .convex import Piece, mass_properties, prism
 from .dimensions import LENGTH, UNSCALED
 from .pose import ArrayLike
@@ -24,7 +24,7 @@ from .triangles import (
     revolved,
 )
 
-Point2 = Annotated[tuple[Number, Number], LENGTH]
+Point2 = Annotated[tuple[Meters, Meters], LENGTH]
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 MIN_SECTORS, MAX_SECTORS = 6, 64

@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 
 from ..errors import SpecError
 from ..io import read_model
-from .base import JointKey, Name, Number, Quat, Spec, Vec3
+from ..io.names import UNIQUE, repeated
+from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
@@ -31,7 +32,7 @@ SEMANTICS = "semantics"
 """Key in a written scene: label, category, parts and purposes of joints of each object."""
 
 
-Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Deviation = NonNegative
 
 
 class PoseUncertainty(Spec):
@@ -53,7 +54,7 @@ class PoseUncertainty(Spec):
 class SceneObject(Spec):
     """An object, and its pose in the scene."""
 
-    name: Name
+    name: ObjectName
     spec: ObjectSpec
     parent: Name | None = None
     parent_link: Name | None = None
@@ -63,9 +64,9 @@ class SceneObject(Spec):
     environment: bool = False
     """True if the object is a static support of the environment, which is not optimized."""
     fixed_base: bool = False
-    xy: tuple[Number, Number] = (0.0, 0.0)
+    xy: tuple[Meters, Meters] = (0.0, 0.0)
     """Position in the parent's frame [m]."""
-    z: Number = 0.0
+    z: Meters = 0.0
     """Height of the object's origin above the parent's [m], snapped."""
     yaw: Number = 0.0
     """Heading in the parent's frame [rad]."""
@@ -77,9 +78,9 @@ class SceneObject(Spec):
     """Box in the photograph."""
     occluded: bool = False
     """True if `box2d` bounds only a part of the object."""
-    depth: Number | None = None
+    depth: Meters | None = None
     """Parsed depth of the object's center along the view [m]."""
-    parsed_size: Vec3 | None = None
+    parsed_size: tuple[Meters, Meters, Meters] | None = None
     """Edge lengths of the parsed 3D box [m]."""
     scale_residual: Vec3 | None = None
     """Object size divided by parsed size, minus 1, per axis, after isotropic rescaling."""
@@ -92,10 +93,14 @@ class SceneObject(Spec):
         return self.environment or self.fixed_base
 
 
+MAX_OBJECTS, MAX_GEOMS = 500, 10_000
+"""Largest numbers of objects of a scene, and of their geoms."""
+
+
 class Backdrop(Spec):
     """A vertical plane behind the scene, as in the photograph; it collides with nothing."""
 
-    x: Number
+    x: Meters
     """Distance of the plane from the world's origin along +x, which the camera faces [m]."""
     rgb: tuple[Share, Share, Share]
     """Display color (sRGB) in the photograph."""
@@ -105,7 +110,7 @@ class SceneSpec(Spec):
     """A composed scene."""
 
     name: Name = "scene"
-    objects: tuple[SceneObject, ...] = Field(min_length=1)
+    objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=MAX_OBJECTS)
     camera: Camera | None = None
     gravity: Vec3 = (0.0, 0.0, -9.81)
     backdrop: Backdrop | None = Field(default=None, exclude_if=lambda value: value is None)
@@ -119,10 +124,13 @@ class SceneSpec(Spec):
 
     @model_validator(mode="after")
     def _hierarchy(self) -> "SceneSpec":
+        geoms = sum(len(part.geoms) for obj in self.objects for part in obj.spec.parts)
+        if geoms > MAX_GEOMS:
+            raise ValueError(f"the scene has {geoms} geoms; the limit is {MAX_GEOMS}")
+        if twice := repeated(obj.name for obj in self.objects):
+            raise ValueError(f"object {UNIQUE}: {', '.join(twice)}")
         earlier: dict[str, SceneObject] = {}
         for obj in self.objects:
-            if obj.name in earlier:
-                raise ValueError(f"object names must be unique, repeated: {obj.name}")
             if obj.parent is not None:
                 if obj.parent not in earlier:
                     raise ValueError(f"object {obj.name}: parent {obj.parent!r} must come first")

@@ -17,9 +17,9 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, runtime_checka
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from .base import Length, Point3, Quat, Rotation, ScalableSpec, unit_vector
+from .base import Length, Point3, Rotation, ScalableSpec
 from .convex import Kind, Piece, Poly, poly, polytope, split
 from .dimensions import UNSCALED
 from .extruded import Extrusion, RoundedBox, Sweep
@@ -324,11 +324,6 @@ class Operand(ScalableSpec):
     shape: "Shape"
     pos: Point3 = (0.0, 0.0, 0.0)
     quat: Rotation = IDENTITY
-
-    @field_validator("quat")
-    @classmethod
-    def _unit(cls, value: Quat) -> Quat:
-        return unit_vector(value, "quat")
 
     def pose(self) -> Pose:
         """Return the operand's pose in the frame of the CSG shape."""

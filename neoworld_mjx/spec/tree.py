@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ..io.names import repeated
-from .base import Length, Name, Number, Quat, Spec, Vec3
+from ..io.names import UNIQUE, repeated
+from .base import Length, Meters, Name, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
 from .pose import IDENTITY, from_yaw, rotate
 from .room import RECTANGLE, SupportOutline, SupportSurface
@@ -70,7 +70,7 @@ class Box2D(Spec):
 class Box3D(Spec):
     """An upright box in the world: the bounding box of an object before it is tilted."""
 
-    position: Vec3
+    position: tuple[Meters, Meters, Meters]
     """Center of the bottom face [m]."""
     size: tuple[Length, Length, Length]
     """Edge lengths [m] along the x (front to back), y and z axes of the object."""
@@ -123,7 +123,7 @@ class Cues(Spec):
 class TreeNode(Spec):
     """One object of the scene."""
 
-    name: Name
+    name: ObjectName
     label: str
     """Kind of object, in a few words."""
     description: str = ""
@@ -187,7 +187,7 @@ class SceneTree(Spec):
     def _hierarchy(self) -> "SceneTree":
         names = [node.name for node in self.nodes]
         if twice := repeated(names):
-            raise ValueError(f"node names must be unique, repeated: {', '.join(twice)}")
+            raise ValueError(f"node {UNIQUE}: {', '.join(twice)}")
         parents = {node.name: node.parent for node in self.nodes}
         for node in self.nodes:
             for field, other in [

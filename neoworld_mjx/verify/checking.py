@@ -122,10 +122,6 @@ def write_files(files: Mapping[str, bytes], out: Path) -> None:
         raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
 
 
-MAX_JOINTS = 64
-"""Largest number of moving joints of an imported object; the check of each joint takes seconds."""
-
-
 def import_object(path: Path) -> Imported:
     """Read a URDF or MJCF file with one object, and possibly a floor and other surroundings.
 
@@ -209,10 +205,6 @@ def check_object(
         imported = imported or import_object(path)
         spec, output["notes"] = imported.spec, list(imported.notes)
         fixed_base = fixed_base or imported.fixed_base
-        if (joints := sum(joint.type != "fixed" for joint in spec.joints)) > MAX_JOINTS:
-            raise SpecError(
-                f"{path} has {joints} joints that move; at most {MAX_JOINTS} are checked"
-            )
     start = time.perf_counter()
     options = config.verify if repair else config.verify.model_copy(update={"rounds": 0})
     result = verify_and_repair(spec, options, fixed_base=fixed_base, allowed=allowed)

@@ -3,14 +3,15 @@
 import logging
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NeoWorldError, SpecError
+from ..errors import SpecError
 from ..evidence.known_camera import KnownCamera
 from ..io.names import is_name
 from ..parse.photo import Photo
@@ -29,7 +30,7 @@ from .annotation import (
     Annotation,
 )
 from .scene_nodes import NEAR_M, SceneNodes, add_picture, look_through
-from .server import message
+from .server import failure, message
 from .target import shown_picture
 
 FOVY_DEG, PITCH_DEG, HEIGHT_M = 45.0, 35.0, 0.6
@@ -116,13 +117,13 @@ class Annotator:
             message("Adjust the camera until the grid, with lines every 10 cm, lies on the ground.")
         )
         pitch, roll = math.degrees(camera.pitch), math.degrees(camera.roll)
-        lens = {
+        self._lens = {
             "pitch": gui.add_slider("Pitch, deg", -90, 90, 0.5, pitch),
             "height": gui.add_number("Height, m", camera.height, min=0.01, max=50.0, step=0.001),
             "fovy": gui.add_slider("Field of view, deg", 1, 179, 0.5, math.degrees(camera.fovy)),
             "roll": gui.add_slider("Roll, deg", -180, 180, 0.5, math.remainder(roll, 360)),
         }
-        for field, control in lens.items():
+        for field, control in self._lens.items():
             self._on_edit(control, lambda value, field=field: self._set_camera(field, value))
         ground = gui.add_dropdown("Ground", GROUNDS, initial_value=self.annotation.ground)
         self._on_edit(ground, self._set_ground)
@@ -171,30 +172,35 @@ class Annotator:
         def edited(event: Any) -> None:
             if event.client_id is None:
                 return
-            with self._editing:
-                try:
-                    edit(_clipped(event.target))
-                except SpecError as error:
-                    self._message.content = message(str(error), bad=True)
+            with self._edit():
+                edit(_clipped(event.target))
 
         control.on_update(edited) if hasattr(control, "on_update") else control.on_click(edited)
 
     # Edits.
 
+    @contextmanager
+    def _edit(self) -> Iterator[None]:
+        """Serialize the edits, and show their errors on the page."""
+        with self._editing:
+            try:
+                yield
+            except Exception as error:  # Nobody reads a traceback.
+                self._message.content = failure(error)
+
     def _set_camera(self, field: str, value: float) -> None:
         number = float(value) if field == "height" else math.radians(value)
-        camera = self.annotation.camera.model_copy(update={field: number})
-        self.annotation = self.annotation.model_copy(update={"camera": camera})
+        self.annotation = self.annotation.with_camera({field: number})
         self._draw_camera()
         for client in self._server.get_clients().values():
-            look_through(client, camera)
+            look_through(client, self.annotation.camera)
 
     def _set_ground(self, label: str) -> None:
-        self.annotation = self.annotation.model_copy(update={"ground": label})
+        self.annotation = self.annotation.with_ground(label)
 
     def _begin_box(self, client: Any) -> None:
         """Use the next rectangle that a client draws on the photograph as the object's box."""
-        with self._editing:
+        with self._edit():
             look_through(client, self.annotation.camera)
             self._message.content = message(
                 "Drag a rectangle around the visible part of the object."
@@ -206,7 +212,7 @@ class Annotator:
         @self._server.scene.on_rect_select()
         def drawn(event: Any) -> None:
             self._server.scene.remove_rect_select_callback(drawn)
-            with self._editing:
+            with self._edit():
                 self._draws_box = False
                 view, camera = event.client.camera, self.annotation.camera
                 corners = (event.screen_min, event.screen_max)
@@ -350,8 +356,8 @@ class Annotator:
             with self._editing:
                 annotation = self.annotation
             self._show(self._write_annotated(annotation, simulate))
-        except NeoWorldError as error:
-            self._log.content = message(str(error), bad=True)
+        except Exception as error:  # The page must not show "running" for ever.
+            self._log.content = failure(error)
         finally:
             package.removeHandler(log)
             self._busy.release()
@@ -412,6 +418,8 @@ def _clipped(control: Any) -> Any:
     low, high = getattr(control, "min", None), getattr(control, "max", None)
     if low is None or high is None:
         return control.value
+    if not math.isfinite(control.value):
+        raise SpecError("enter a number")
     return min(max(control.value, low), high)
 
 

@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SpecError, choices
-from ..io.names import repeated
+from ..io.names import UNIQUE, repeated
 from ..program.supports import MATERIALS
 from ..spec import Box2D, Camera, Name, PartState, Spec
-from ..spec.base import Length
+from ..spec.base import Length, ObjectName
 from ..spec.tree import Relation, name_on_cycle
 from ..templates import templates
 
@@ -25,7 +25,7 @@ SHAPES = ("box", "cylinder", "ball", "bowl", "cup")
 class AnnotatedObject(Spec):
     """Object that a person has marked with a 2D box and named."""
 
-    name: Name
+    name: ObjectName
     label: str = Field(default="", max_length=100)
     kind: str = "box"
     """A template, one of `SHAPES`, `WRITTEN_BY_MODEL` or `EXISTING_PROGRAM`."""
@@ -67,7 +67,7 @@ class Annotation(Spec):
     def _check_names_and_parents(self) -> "Annotation":
         names = [GROUND, *(obj.name for obj in self.objects)]
         if twice := repeated(names):
-            raise ValueError(f"names must be unique, repeated: {', '.join(twice)}")
+            raise ValueError(f"{UNIQUE}: {', '.join(twice)}")
         for obj in self.objects:
             if obj.parent not in names:
                 raise ValueError(f"object {obj.name}: parent: {choices(obj.parent, names)}")
@@ -88,7 +88,23 @@ class Annotation(Spec):
         """Add an object with a box and default values; return the annotation and its name."""
         numbers = range(1, len(self.objects) + 2)
         name = next(f"object_{k}" for k in numbers if self.find(f"object_{k}") is None)
-        return self._checked((*self.objects, AnnotatedObject(name=name, box=box))), name
+        return self._with(objects=(*self.objects, AnnotatedObject(name=name, box=box))), name
+
+    def with_camera(self, change: dict[str, float]) -> "Annotation":
+        """Change fields of the camera.
+
+        Raises:
+            SpecError: a value is invalid.
+        """
+        return self._with(camera=self.camera.model_copy(update=change))
+
+    def with_ground(self, label: str) -> "Annotation":
+        """Change the label of the ground.
+
+        Raises:
+            SpecError: the label is invalid.
+        """
+        return self._with(ground=label)
 
     def with_change(self, name: str, change: dict[str, Any]) -> "Annotation":
         """Change fields of one object; if its name changes, update the parent of its children.
@@ -106,15 +122,15 @@ class Annotation(Spec):
             else _moved(obj, name, change.get("name", name))
             for obj in self.objects
         )
-        return self._checked(tuple(objects))
+        return self._with(objects=tuple(objects))
 
     def without(self, name: str) -> "Annotation":
         """Remove an object; its children move to the ground."""
         rest = (obj for obj in self.objects if obj.name != name)
-        return self._checked(tuple(_moved(obj, name, GROUND) for obj in rest))
+        return self._with(objects=tuple(_moved(obj, name, GROUND) for obj in rest))
 
-    def _checked(self, objects: tuple[AnnotatedObject, ...]) -> "Annotation":
-        data = self.model_copy(update={"objects": objects}).model_dump()
+    def _with(self, **change: object) -> "Annotation":
+        data = self.model_copy(update=change).model_dump(warnings=False)
         try:
             return Annotation.model_validate(data)
         except ValidationError as error:

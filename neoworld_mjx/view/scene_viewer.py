@@ -15,7 +15,7 @@ from ..compose.layout_patch import (
     read_layout_patch,
     write_layout_patch,
 )
-from ..errors import NeoWorldError, SpecError
+from ..errors import SpecError
 from ..run_folder import read_run, verdict_line
 from ..spec import (
     JointSpec,
@@ -32,7 +32,7 @@ from .evidence_lines import deviation_phrase, evidence_lines
 from .report.objects import object_checks
 from .report.page import read_json
 from .scene_nodes import FreeFall, SceneNodes, bounds_of, look_at, look_through, part_poses
-from .server import message
+from .server import failure, message
 from .target import ViewTarget
 
 FREE_RANGE = math.pi
@@ -145,8 +145,8 @@ class SceneViewer:
             with self._lock:
                 try:
                     react(event)
-                except (NeoWorldError, ValueError) as error:
-                    self._status.content = message(str(error), bad=True)
+                except Exception as error:  # Shown on the page; nobody reads a traceback.
+                    self._status.content = failure(error)
 
         control.on_update(changed) if hasattr(control, "on_update") else control.on_click(changed)
 

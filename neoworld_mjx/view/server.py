@@ -5,11 +5,13 @@ import logging
 import re
 import socket
 from contextlib import redirect_stdout
+from contextvars import ContextVar
 from functools import partial
 from html import escape
 from typing import Any
 
-from ..errors import RunError
+from ..errors import RunError, expected_message
+from ..io.names import printable
 
 LOCAL = "127.0.0.1"
 PORT = 8080
@@ -26,8 +28,18 @@ _log = logging.getLogger(__name__)
 
 def message(*lines: str, bad: bool = False) -> str:
     """Return lines of plain text as HTML, in red if `bad`."""
-    paragraphs = "".join(f'<p class="{"bad" if bad else ""}">{escape(line)}</p>' for line in lines)
+    style = "bad" if bad else ""
+    paragraphs = "".join(f'<p class="{style}">{escape(printable(line))}</p>' for line in lines)
     return f'{_STYLE}<div class="nw">{paragraphs}</div>'
+
+
+def failure(error: Exception) -> str:
+    """Return the message of an error as HTML; the log has the traceback of an unexpected one."""
+    expected = str(error) if isinstance(error, ValueError) else expected_message(error)
+    if expected is None:
+        _log.debug("an edit failed", exc_info=error)
+        expected = f"internal error: {type(error).__name__}: {error}"
+    return message(expected.partition("\n")[0], bad=True)
 
 
 def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> Any:
@@ -70,9 +82,11 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
     websockets.asyncio.server.serve = checked_serve
     try:
         with redirect_stdout(io.StringIO()):  # The constructor prints a table.
-            server = LocalServer(host=host, port=chosen_port, label=label, verbose=False)
+            server = LocalServer(host=host, port=chosen_port, label=printable(label), verbose=False)
     finally:
         websockets.asyncio.server.serve = serve
+    messages = server._websock_server
+    messages._handle_incoming_message = _closing_on_errors(messages._handle_incoming_message)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     # The controls must not cover the photograph.
     server.gui.main_panel.dock_right()
@@ -90,17 +104,31 @@ def _serve_checked(serve: Any, local: bool, handler: Any, *address: Any, **optio
         return page(connection, request)
 
     async def handle(connection: Any) -> None:
-        try:
-            await handler(connection)
-        except Exception as error:  # A message may decode to anything.
-            _log.debug("a client sent an invalid message: %s", type(error).__name__)
-            await connection.close(1007, "invalid message")
+        _connection.set(connection)
+        await _closing_on_errors(handler)(connection)
 
     options |= {"process_request": process_request, "max_size": _MAX_MESSAGE_BYTES}
     if local:
         # None admits clients that are not browsers, which send no origin.
         options["origins"] = [None, _PAGES_OF_THIS_MACHINE]
     return serve(handle, *address, **options)
+
+
+_connection: ContextVar[Any] = ContextVar("connection")
+"""Connection of the message that is being handled; viser handles messages in tasks of their own."""
+
+
+def _closing_on_errors(handler: Any) -> Any:
+    """Return a coroutine function that closes the connection if `handler` raises an error."""
+
+    async def handle(*arguments: Any) -> None:
+        try:
+            await handler(*arguments)
+        except Exception as error:  # A message may decode to anything, also to values of any type.
+            _log.debug("a client sent an invalid message: %s", type(error).__name__)
+            await _connection.get().close(1007, "invalid message")
+
+    return handle
 
 
 def close_server(server: Any) -> None:

@@ -1,16 +1,20 @@
 """Step 2's compile checks and Step 3's object tests agree on the same joint sweep."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from neoworld_mjx.checks.joint_checks import check_joints
-from neoworld_mjx.checks.joint_sweep import overlap_signals
+from neoworld_mjx.checks.joint_sweep import overlap_signals, sweep_combinations, sweep_joints
 from neoworld_mjx.checks.static_checks import Probe
 from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.spec import Box, ObjectSpec
 from neoworld_mjx.spec.kinematics import with_joint
 from tests.support.furniture import chest
+from tests.support.mechanisms import WOOD, geom, part
+from tests.support.mechanisms import joint as joint_of
 from tests.support.valid_objects import valid_object
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "objects").glob("*.py"))
@@ -76,3 +80,29 @@ def test_gaps_are_measured_at_rest_after_the_sweep():
         for each in (spec, pushed)
     ]
     assert gap[0] == gap[1] > 0.0
+
+
+def test_a_prerequisite_is_also_moved_while_the_joint_that_waits_for_it_is_closed():
+    """The door hits the lid only half open, where it is only while the rack is closed.
+
+    No position of the sweep of the rack itself is closed.
+    """
+    base = part("base", geom("base", Box(size=(0.02, 0.02, 0.02)), (0, 0, -0.5)))
+    door = part("door", geom("door", Box(size=(0.02, 0.02, 0.02))))
+    lid = part("lid", geom("lid", Box(size=(0.14, 0.1, 0.02)), (0.1, 0.08, 0)))
+    rack = part("rack", geom("rack", Box(size=(0.02, 0.02, 0.02)), (0, 0, 0.5)))
+    slide = partial(joint_of, kind="prismatic", parent="base")
+    spec = ObjectSpec(
+        name="o",
+        materials=(WOOD,),
+        parts=(base, door, lid, rack),
+        joints=(
+            slide("opens", child="door", axis=(1, 0, 0), upper=0.2),
+            slide("lifts", child="lid", axis=(0, -1, 0), upper=0.1),
+            slide("pulls", child="rack", axis=(0, 0, 1), lower=0.01, upper=0.1, after=("opens",)),
+        ),
+    )
+    sweep = sweep_joints(Probe(spec), ProgramOptions())
+    assert not sweep.colliding
+    (pair,) = sweep_combinations(sweep)
+    assert {spec.parts[k].name for k in pair} == {"door", "lid"}

@@ -1,17 +1,20 @@
 """The object tests on valid objects, and on objects with one fault each."""
 
 import math
+import re
 
 import pytest
 
-from neoworld_mjx.checks import scenarios
+from neoworld_mjx.checks import joint_checks, scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
-from neoworld_mjx.checks.verdict import Fault
+from neoworld_mjx.checks.verdict import BUDGET, Fault
+from neoworld_mjx.config import VerifyOptions
 from neoworld_mjx.spec import (
     Box,
     Capsule,
     Cylinder,
     GeomSpec,
+    JointSpec,
     Lathe,
     Material,
     ObjectSpec,
@@ -20,6 +23,7 @@ from neoworld_mjx.spec import (
 )
 from tests.support import scenes
 from tests.support.furniture import chest, cupboard
+from tests.support.mechanisms import WOOD, geom, part
 
 
 def verify(spec, **how):
@@ -183,3 +187,45 @@ def test_a_flat_base_with_a_bump_is_not_round():
 def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
     one, two = verify(cupboard(), threads=1), verify(cupboard(), threads=2)
     assert one.to_json() == two.to_json()
+
+
+def chain(count):
+    """Boxes in a row, each hinged to the one before."""
+    names = [f"p{k}" for k in range(count + 1)]
+    links = tuple(
+        part(name, geom(f"g{k}", Box(size=(0.02, 0.02, 0.02)), (0.021 * k, 0, 0.01)))
+        for k, name in enumerate(names)
+    )
+    hinges = tuple(
+        JointSpec(
+            name=f"j{k}", type="revolute", parent=names[k - 1], child=names[k],
+            pos=(0.021 * k - 0.01, 0, 0.01), axis=(0, 1, 0), lower=-0.1, upper=0.1, damping=1e-4,
+        )
+        for k in range(1, count + 1)
+    )  # fmt: skip
+    return ObjectSpec(name="chain", materials=(WOOD,), parts=links, joints=hinges)
+
+
+def test_the_work_of_scenarios_is_bounded_and_what_is_left_out_is_told(monkeypatch):
+    """Without a bound, the time of the tests grows with the square of the number of joints."""
+    options = VerifyOptions(duration_s=0.5)
+    monkeypatch.setattr(scenarios, "MOST_S", 0.3)
+    left_out, runs = {}, {}
+    for count in (2, 8, 16, 60):
+        result = run_object_tests(chain(count), options)
+        kinds = [trajectory.scenario.kind for trajectory in result.trajectories]
+        runs[count] = len(kinds)
+        assert kinds.count("free_fall") == (3 if count < 60 else 1)
+        hints = [check.hint for check in result.verdict.checks if check.name == BUDGET]
+        left_out[count] = int(hints[0].split()[0]) if hints else 0
+    assert left_out[2] == 0 and runs[2] == 35
+    assert 0 < left_out[8] < left_out[16] < left_out[60] == 121
+    assert runs[2] > runs[8] > runs[16] > runs[60] == 1
+    assert re.match(r"121 parts and joints are neither pushed nor moved.*p0, p1, p2", hints[0])
+
+
+def test_a_joint_sweep_that_takes_too_long_is_a_failure_that_says_so(monkeypatch):
+    monkeypatch.setattr(joint_checks, "SWEEP_S", 0.0)
+    verdict = verify(chain(2))
+    (check,) = [check for check in verdict.checks if check.outcome == "TOOL_FAILURE"]
+    assert not verdict.passed and "of processor time; use fewer" in check.hint

@@ -164,3 +164,12 @@ def test_rendered_images_show_the_current_state(scene):
     for _ in range(20):
         obs, *_ = env.step(np.array([0.2], np.float32))
     assert np.abs(obs["picture"].astype(int) - first["picture"]).max() > 20
+
+
+@pytest.mark.parametrize(("opening", "finger"), [(0.1, 0.05), (0.03, 0.015), (0.0, -0.02)])
+def test_both_fingers_of_a_gripper_move_half_of_its_opening(scene, opening, finger):
+    controlled = controlled_scene(scene, gripper=nw.Gripper((0, 0, 1), opening=0.08))
+    assert controlled.controls(controlled.hold_action)[-2:] == pytest.approx([0.04, 0.04])
+    action = controlled.hold_action.copy()
+    action[-1] = opening
+    assert controlled.controls(action)[-2:] == pytest.approx([finger, finger])

@@ -74,3 +74,15 @@ def test_names_in_an_sdf_model_are_unique(cabinet):
     assert len(names) == len(set(names)) and {"drawer", "drawer_"} <= set(names)
     tied = [mimic.get("joint") for mimic in model.iter("mimic")]
     assert set(tied) <= set(names) and "drawer" not in tied
+
+
+def test_a_mimic_in_sdf_has_the_multiplier_and_the_offset_of_its_joint(cabinet):
+    model = ET.fromstring(sdf_text(cabinet)).find("model")
+    mimics = {j.get("name"): j.find("axis/mimic") for j in model.findall("joint")}
+    followers = [joint for joint in cabinet.joints if joint.mimic is not None]
+    assert any(joint.mimic.offset not in (0, joint.mimic.multiplier) for joint in followers)
+    for joint in followers:
+        written = mimics[joint.name]
+        assert float(written.find("multiplier").text) == pytest.approx(joint.mimic.multiplier)
+        assert float(written.find("offset").text) == pytest.approx(joint.mimic.offset)
+        assert float(written.find("reference").text) == 0

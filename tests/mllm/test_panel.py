@@ -10,6 +10,7 @@ import pytest
 from neoworld_mjx.config import RoleOptions
 from neoworld_mjx.errors import BudgetError, ModelError
 from neoworld_mjx.mllm import Panel, Tape
+from neoworld_mjx.mllm.panel import hide
 from neoworld_mjx.mllm.replay import Replay
 from neoworld_mjx.mllm.requests import Reply
 from tests.mllm.conftest import KEY, ask_all
@@ -161,3 +162,9 @@ def test_waiting_time_of_concurrent_requests_counts_once(make, monkeypatch):
         now[0] += 10.0
         ask_all(panel, [make.request(prompt="three")])
         assert panel.waited_s == 4.0 + 2.0
+
+
+def test_of_secrets_that_begin_alike_no_tail_is_left():
+    secrets = ("token-1234", "token-1234-and-5678", "1234-and")
+    for order in (secrets, secrets[::-1]):
+        assert hide("a token-1234-and-5678 b token-1234 c", order) == "a [key] b [key] c"

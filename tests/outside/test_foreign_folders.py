@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import Config, FileOptions
 from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
 from neoworld_mjx.refinement.objective import import_function
-from neoworld_mjx.run_folder import FORMAT, RunFolder
+from neoworld_mjx.run_folder import FORMAT, RunFolder, run_options
 from neoworld_mjx.view.report.run_report import write_report
 
 
@@ -56,6 +57,42 @@ def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, mode
         with RunFolder(out, Config(), mode, step="parse") as run:
             with run.step("parse", {"new": "input"}):
                 pass
+
+
+NOT_OUTPUTS = {
+    ".lock": "refine does not write '.lock'",
+    "run.json": "refine does not write 'run.json'",
+    "run.log": "refine does not write 'run.log'",
+    "photo.png": "refine does not write 'photo.png'",
+    "notes.txt": "refine does not write 'notes.txt'",
+    "history/parse/tree.json": "refine does not write",
+    "objects/cup/program.py": "refine does not write",
+    "tree.json": "refine does not write",
+}
+
+
+@pytest.mark.parametrize("name", NOT_OUTPUTS)
+@pytest.mark.parametrize("mode", ["resume", "redo", "overwrite"])
+def test_outputs_that_a_step_does_not_write_are_refused_and_nothing_is_moved(tmp_path, name, mode):
+    """A lock that is moved away would let a second process start in the same folder."""
+    out = _run(tmp_path / "out")
+    (out / name).parent.mkdir(parents=True, exist_ok=True)
+    if not (out / name).exists():
+        (out / name).write_text("mine")
+    data = json.loads((out / "run.json").read_text())
+    data["steps"]["refine"] = {"inputs": {}, "outputs": {name: "0" * 64}}
+    (out / "run.json").write_text(json.dumps(data))
+    before = sorted(out.rglob("*"))
+    with pytest.raises(RunError, match=rf"run\.json is damaged: steps: .*({NOT_OUTPUTS[name]})"):
+        RunFolder(out, Config(), mode, step="refine")
+    assert sorted(out.rglob("*")) == before
+
+
+def test_no_two_steps_share_an_output(tmp_path):
+    step = {"inputs": {}, "outputs": {"tree.json": "0" * 64}}
+    out = _run(tmp_path / "out", steps={"parse": step, "compose": step})
+    with pytest.raises(RunError, match=r"both parse and compose list 'tree\.json'"):
+        RunFolder(out, Config(), "resume")
 
 
 LINKS = [".lock", ".staging", ".run.json.part", ".report.html.part", "pictures", "report.html"]
@@ -176,6 +213,11 @@ def test_an_invalid_run_json_is_one_message(tmp_path, text):
             "names a server for models .http://evil.example.*key",
         ),
         ({"refine": 3}, r"run\.json: options: refine"),
+        (
+            {"refine": {"cem": {"iterations": 10_000, "population": 2000}}},
+            r"requests a search of 5e\+09 simulated steps \(10000 iterations of 2000 candidates\); "
+            r"the limit is 2e\+07.*--set",
+        ),
     ],
 )
 def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options, said):
@@ -184,6 +226,19 @@ def test_options_of_a_foreign_run_run_no_code_and_send_no_key(tmp_path, options,
     (out / "compose" / "scene.json").write_text("{}")
     with pytest.raises(ConfigError, match=said):
         refine_again(out)
+
+
+def test_limits_of_a_foreign_run_do_not_apply_and_other_options_are_told(tmp_path, caplog):
+    files = {"memory_mib": 65536, "timeout_s": 80000, "max_file_mib": 16384}
+    options = {"files": files, "refine": {"max_drift_m": 1e-12}, "seed": 3}
+    out = _run(tmp_path / "out", config=options)
+    with bounded_by(FileOptions(timeout_s=3.0)):
+        config = run_options(out, {"refine": {"finalists": 2}})
+    assert config.files == FileOptions(timeout_s=3.0)
+    assert (config.seed, config.refine.finalists, config.refine.max_drift_m) == (3, 2, 1e-12)
+    assert caplog.messages == [
+        f"options of {out / 'run.json'} that apply: refine.max_drift_m=1e-12"
+    ]
 
 
 @pytest.mark.parametrize("name", ["evilmod", "objects.evilmod", "evilmod:f", "objects.evilmod:"])

@@ -5,8 +5,11 @@ import ctypes
 import io
 import json
 import os
+import re
 import resource
 import struct
+import subprocess
+import sys
 import time
 import zipfile
 import zlib
@@ -19,7 +22,7 @@ import numpy as np
 import pytest
 from arro3.core import Array, RecordBatch, Table
 from PIL import Image
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from neoworld_mjx.config import FileOptions, load_config
 from neoworld_mjx.errors import NeoWorldError, PhotoError, RunError, SpecError
@@ -28,7 +31,18 @@ from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.io.parquet_files import read_rows, write_rows
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.verify.checking import check_object
+from neoworld_mjx.spec import (
+    Box,
+    GeomSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    SceneObject,
+    SceneSpec,
+    read_scene,
+    single_object_scene,
+)
+from tests.support.mechanisms import single
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
 SMALL = FileOptions(max_file_mib=16, timeout_s=2.0, memory_mib=300)
@@ -253,6 +267,107 @@ def test_a_hostile_mesh_is_refused_with_one_message(tmp_path, name):
     assert len(str(caught.value)) < 600
 
 
+BOX_OBJECT = single("box", Box(size=(0.1, 0.1, 0.1)))
+SCENE_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "far up": (lambda s: s["objects"][0].update(z=1e300), "z: .*at most 10 km"),
+    "far away": (lambda s: s["objects"][0].update(xy=[0.0, -2e4]), "xy.1: .*at most 10 km"),
+    "turned": (lambda s: s["objects"][0].update(yaw=1e200), r"yaw: .*at most 1e\+09"),
+    "no rotation": (lambda s: s["objects"][0].update(base_tilt=[0, 0, 0, 0]), "base_tilt: .*zero"),
+    "huge rotation": (
+        lambda s: s["objects"][0].update(base_tilt=[1e200, 0, 0, 0]),
+        r"base_tilt.0: .*at most 1e\+09",
+    ),
+    "no rotation of a shape": (lambda s: geom_of(s).update(quat=[0, 0, 0, 0]), "quat: .*zero"),
+    "huge shape": (lambda s: geom_of(s)["shape"].update(size=[1e300, 1, 1]), "at most 10 km"),
+    "infinite mass": (
+        lambda s: s["objects"][0]["spec"]["parts"][0].update(mass=float("inf")),
+        r"mass: .*at most 1e\+09",
+    ),
+    "gravity": (lambda s: s.update(gravity=[0, 0, -1e30]), r"gravity.2: .*at most 1e\+09"),
+    "CUP and cup": (
+        lambda s: s["objects"].append(s["objects"][0] | {"name": "BOX"}),
+        "object names must be unique, ignoring case; repeated: BOX, box",
+    ),
+    "parts p and P": (
+        lambda s: s["objects"][0]["spec"].update(parts=[part_of(s, "p"), part_of(s, "P")]),
+        "part names must be unique, ignoring case; repeated: P, p",
+    ),
+    "materials": (
+        lambda s: s["objects"][0]["spec"]["materials"].append(
+            s["objects"][0]["spec"]["materials"][0] | {"name": "WOOD"}
+        ),
+        "material names must be unique, ignoring case",
+    ),
+}  # fmt: skip
+
+
+def geom_of(scene: dict[str, Any]) -> dict[str, Any]:
+    return scene["objects"][0]["spec"]["parts"][0]["geoms"][0]
+
+
+def part_of(scene: dict[str, Any], name: str) -> dict[str, Any]:
+    part = scene["objects"][0]["spec"]["parts"][0]
+    return part | {"name": name, "geoms": [geom_of(scene) | {"name": name * 2}]}
+
+
+@pytest.mark.parametrize("name", SCENE_EDITS)
+def test_numbers_and_names_of_a_scene_are_bounded(tmp_path, name):
+    """Numbers that formats cannot hold, and files that are one on disks that ignore case."""
+    edit, message = SCENE_EDITS[name]
+    scene = json.loads(single_object_scene(BOX_OBJECT).to_json())
+    edit(scene)
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    refused(tmp_path / "scene.json", read_scene, message)
+
+
+def test_a_rotation_is_normalized_when_it_is_read():
+    item = SceneObject(name="o", spec=BOX_OBJECT, base_tilt=(2.0, 0.0, 0.0, 2.0))
+    assert item.base_tilt == pytest.approx((0.5**0.5, 0.0, 0.0, 0.5**0.5))
+
+
+def test_an_import_renames_links_that_differ_only_in_case(tmp_path):
+    joint = "<joint name='j' type='fixed'><parent link='p'/><child link='P'/></joint>"
+    (tmp_path / "a.urdf").write_text(
+        urdf(f"<link name='p'>{BOX}</link><link name='P'>{BOX}</link>", joint)
+    )
+    names = [part.name for part in import_file(tmp_path / "a.urdf").spec.parts]
+    assert sorted(map(str.lower, names)) == ["p", "p_1"]
+
+
+def crowd(count: int, folder: Path) -> Path:
+    """Write a scene of boxes that all overlap, as `model_copy` makes it, without its checks."""
+    boxes = tuple(SceneObject(name=f"o{k}", spec=BOX_OBJECT) for k in range(count))
+    scene = SceneSpec(objects=boxes[:1]).model_copy(update={"objects": boxes})
+    (folder / "scene.json").write_text(scene.to_json())
+    return folder / "scene.json"
+
+
+CROWDS = {
+    "too many objects": (501, "500 items"),
+    "too many constraints": (128, "MuJoCo cannot simulate this: mj_stackAlloc.*; move overlapping"),
+    "ignored contacts": (300, "more contacts than MuJoCo's memory holds: move overlapping objects"),
+}
+
+
+@pytest.mark.parametrize("name", CROWDS)
+def test_a_crowded_scene_is_refused_with_one_message(tmp_path, neoworld, name):
+    """Memory that is full makes MuJoCo raise a fatal error, or ignore contacts with a warning."""
+    count, message = CROWDS[name]
+    code, _, error = neoworld("check", crowd(count, tmp_path), "--quiet")
+    assert code == 2 and re.search(message, error), error
+    assert len(error.splitlines()[-1]) < 600
+
+
+def test_a_scene_has_a_limit_of_geoms():
+    geom = GeomSpec(name="g", shape=Box(size=(0.1, 0.1, 0.1)), material="m")
+    geoms = tuple(geom.model_copy(update={"name": f"g{k}"}) for k in range(101))
+    part = PartSpec(name="p", geoms=geoms)
+    spec = ObjectSpec(name="o", materials=(Material(name="m", density=1.0),), parts=(part,))
+    objects = tuple(SceneObject(name=f"o{k}", spec=spec) for k in range(100))
+    with pytest.raises(ValidationError, match="the scene has 10100 geoms; the limit is 10000"):
+        SceneSpec(objects=objects)
+
+
 SPECIAL = ("pipe", "device", "folder", "circle", "missing")
 
 
@@ -365,8 +480,6 @@ def test_files_within_the_bounds_are_read(tmp_path):
     assert len(import_file(tmp_path / "a.xml").spec.parts) == 1
     (tmp_path / "star.xml").write_text(star(80))
     assert len(import_file(tmp_path / "star.xml").spec.joints) == 80
-    with pytest.raises(SpecError, match="80 joints that move; at most 64 are checked"):
-        check_object(tmp_path / "star.xml", load_config(None))
     (tmp_path / "w.urdf").write_text(f'<robot name="world"><link name="world">{BOX}</link></robot>')
     imported = import_file(tmp_path / "w.urdf")
     assert imported.spec.name == "world_1"
@@ -432,3 +545,22 @@ def cpu_limit(path):
 def test_a_reader_has_the_limit_of_processor_time(tmp_path):
     with bounded_by(FileOptions(timeout_s=1.5)):
         assert call_limited(cpu_limit, tmp_path) == (2, 3)
+
+
+def limits(path):
+    return [resource.getrlimit(kind)[1] for kind in (resource.RLIMIT_FSIZE, resource.RLIMIT_CPU)]
+
+
+def test_a_reader_works_below_lower_limits_of_the_shell():
+    code = """
+import resource, sys
+sys.dont_write_bytecode = True
+from pathlib import Path
+from neoworld_mjx.io.limited_worker import call_limited
+from tests.outside.test_hostile_files import limits
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+print(call_limited(limits, Path("a")))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[4096, 9]", done.stderr

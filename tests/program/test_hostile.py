@@ -147,3 +147,23 @@ def test_every_hostile_program_ends_in_one_clear_message(name: str):
 def test_an_endless_program_ends_with_its_type_check():
     (signal,) = build(SDK + "while True:\n    pass").signals
     assert signal.code == "timeout"
+
+
+CHANGING = {
+    "clock": "import time\nv = [time.time(), time.monotonic(), time.perf_counter()]",
+    "nanoseconds": "import time\nv = [time.time_ns() % 1000, time.monotonic_ns() % 1000]",
+    "processor time": "import time\nv = [time.process_time()]",
+    "date": "from datetime import datetime\nv = [datetime.now().isoformat()]",
+    "local time": "import time\nv = [time.ctime(), time.localtime().tm_yday]",
+    "random": "import random\nv = [random.random(), random.Random().random()]",
+    "seed": "import random\nrandom.seed()\nv = [random.random()]",
+    "addresses": "v = [id(p), str(lambda: 1), hash('abc'), list({'a', 'b', 'long'})]",
+}
+
+
+@pytest.mark.parametrize("name", CHANGING)
+def test_equal_texts_see_equal_clocks_and_random_numbers(name: str):
+    """A resumed run would build another object otherwise."""
+    text = FINE + CHANGING[name] + "\nprint(v)\n"
+    first, second = (build(text, ProgramOptions(type_check=False)) for _ in range(2))
+    assert first.ok and first.printed and first.printed == second.printed

@@ -86,3 +86,16 @@ def test_shares_of_objects_are_weighted():
     assert ratio_interval([("a", 1.0, 2.0)]) == (0.5, None, None)
     assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
     assert ratio_interval([("a", 2.0, 1.0), ("b", 2.0, 1.0)]) == (2.0, 2.0, 2.0)
+
+
+def test_the_interval_of_a_paired_difference_is_that_of_agresti_and_min():
+    """Half an observation in each of the four cells, so n + 2 pairs (Agresti and Min 2005)."""
+    b, c, n = 3, 1, 10
+    hits = [True] * b + [False] * c + [True] * 4 + [False] * 2
+    others = [False] * b + [True] * c + [True] * 4 + [False] * 2
+    center = (b - c) / (n + 2)
+    deviation = np.sqrt((b + c + 1) - (b - c) ** 2 / (n + 2)) / (n + 2)
+    found = rate_difference(hits, others, names(n))
+    assert found.mean == pytest.approx((b - c) / n)
+    assert found.low == pytest.approx(center - 1.959964 * deviation, abs=1e-6)
+    assert found.high == pytest.approx(center + 1.959964 * deviation, abs=1e-6)

@@ -38,6 +38,7 @@ def test_new_boxes_get_unique_names():
         ({"name": "cup"}, "repeated: cup"),
         ({"name": "../x"}, "name"),
         ({"yaw_deg": 1e9}, "yaw_deg"),
+        ({"name": "world"}, "MuJoCo reserves 'world'"),
     ],
 )
 def test_invalid_changes_are_refused_with_a_short_message(change, message):
@@ -108,3 +109,42 @@ def test_simultaneous_edits_are_all_kept(opened_page):
     assert (obj.kind, obj.material, obj.label) == ("bowl", "ceramic", "a saucer")
     assert obj.size == (0.12, 0.13, 0.016)
     assert all(control.value == value for control, value in typed)
+
+
+def typed(control, value):
+    """Set the value of a control as viser's server does with what a client sends."""
+    from viser import GuiEvent
+
+    control._impl.value = value
+    for call in control._impl.update_cb:
+        call(GuiEvent(None, 1, control))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize("field", ["height", "fovy", "pitch", "roll"])
+def test_a_number_that_is_none_changes_no_camera_and_is_said(opened_page, field, value):
+    page = opened_page(coffee())
+    before = page.annotation
+    typed(page._lens[field], value)
+    assert page.annotation == before
+    assert "enter a number" in page._message.content
+
+
+def test_a_reserved_name_is_refused_on_the_page(opened_page):
+    page = opened_page(coffee())
+    page._choose("cup")
+    typed(page._fields["name"], "world")
+    assert page.annotation == coffee()
+    assert "MuJoCo reserves" in page._message.content
+
+
+def test_a_job_that_fails_in_an_unexpected_way_is_said_and_another_may_start(opened_page):
+    page = opened_page(coffee())
+
+    def fails(*_):
+        raise ZeroDivisionError("no camera")
+
+    page._write_annotated = fails
+    for _ in range(2):
+        page._write(simulate=True)
+        assert "internal error: ZeroDivisionError: no camera" in page._log.content

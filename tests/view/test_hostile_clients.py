@@ -1,5 +1,6 @@
 """Clients that want more from the server of `neoworld view` and `annotate` than their pages do."""
 
+import gc
 import http.client
 import socket
 from contextlib import closing, suppress
@@ -7,6 +8,8 @@ from contextlib import closing, suppress
 import pytest
 
 viser = pytest.importorskip("viser", reason="the extra viewer is not installed")
+import msgspec  # noqa: E402
+from viser._messages import GuiUpdateMessage  # noqa: E402
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
@@ -81,6 +84,29 @@ def test_an_invalid_or_huge_message_closes_its_connection_silently(port, message
     assert "Traceback" not in "".join(capfd.readouterr())
     with client(port) as connection:
         assert connection.recv(timeout=10)
+
+
+@pytest.mark.parametrize("value", ["text", None, [1], {"a": 1}, b"x"])
+def test_a_value_of_another_type_closes_its_connection_silently(value, caplog, capfd):
+    server = open_server("test", port=0)
+    try:
+        control = server.gui.add_number("Height", 1.0)
+        changes = []
+        control.on_update(changes.append)
+        update = GuiUpdateMessage(control._impl.uuid, {"value": value})
+        message = msgspec.msgpack.encode(update.as_serializable_dict())
+        with client(server.get_port()) as connection:
+            connection.recv(timeout=10)
+            with pytest.raises(ConnectionClosed):
+                connection.send(message)
+                while True:
+                    connection.recv(timeout=10)
+        assert control.value == 1.0 and not changes
+    finally:
+        close_server(server)
+    gc.collect()  # A task of asyncio reports its error when it is deleted.
+    assert not [record for record in caplog.records if record.exc_info]
+    assert "Traceback" not in "".join(capfd.readouterr())
 
 
 def test_bytes_that_are_no_request(port, capfd):

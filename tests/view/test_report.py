@@ -16,6 +16,7 @@ from neoworld_mjx.measure import scene_checks, scene_measure
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.refinement import choosing
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
+from neoworld_mjx.view import server
 from neoworld_mjx.view.report import search
 from neoworld_mjx.view.report.objects import BOXES, SEARCH, SHAPES, all_moves
 from neoworld_mjx.view.report.run_report import write_report
@@ -78,11 +79,9 @@ def finished(tmp_path):
             result = {"object": "jar", "passed": True, "mass_kg": 0.3, "checks": [fell, pushed]}
             verdict = Verdict.model_validate(result)
             (stage / "objects" / "jar" / "verify.json").write_text(verdict.to_json())
-        with run.step("compose", {}) as stage:
-            assert stage is not None
-            (stage / "scene.json").write_text("{}")
         with run.step("refine", {}) as stage:
             assert stage is not None
+            (stage / "scene.json").write_text("{}")
             (stage / "refine").mkdir()
             _history(stage / "refine" / "history.npz")
         run.fallback("refine", "native", "no GPU here")
@@ -225,6 +224,18 @@ def test_text_from_models_is_escaped(finished):
     assert "<script" not in html
     assert "evil/a.png" in html
     assert all(link.startswith("data:") for link in _Page(html).links)
+
+
+@pytest.mark.parametrize("hidden", ["\u202e", "\x1b[31m", "\u200b", "\x07"])
+def test_hidden_characters_of_labels_are_escaped(finished, hidden):
+    """They could turn the text around, or control a terminal that prints the page."""
+    label = f"jar {hidden}valid"
+    (finished / "tree.json").write_text(json.dumps(_tree(label=label)))
+    with RunFolder(finished, Config(), "resume") as run:
+        run.fallback("refine", label, label)
+    for html in (write_report(finished).read_text(), server.message(label)):
+        assert hidden[0] not in html
+        assert hidden[0].encode("unicode_escape").decode() in html
 
 
 def test_the_report_of_an_unfinished_run_names_what_is_missing(tmp_path):

@@ -14,10 +14,18 @@ from PIL import Image
 from ...errors import RunError
 from ...io import file_bounds, open_image, read_object
 from ...io.files import MIB, read_bytes
+from ...io.names import printable
+
+
+def _visible(value: object) -> object:
+    """Escape hidden characters of text, which could change how other text reads."""
+    return printable(value) if type(value) is str else value
+
 
 _ENVIRONMENT = Environment(
     loader=PackageLoader("neoworld_mjx.view.report", "html"),
     autoescape=True,
+    finalize=_visible,
     undefined=StrictUndefined,
     trim_blocks=True,
     lstrip_blocks=True,

@@ -1,0 +1,30 @@
+"""Masses and inertias of parts against textbook formulas."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from neoworld_mjx.spec import Box, ObjectSpec, inertial
+from tests.support.mechanisms import WOOD, geom, part
+
+SIZE = np.array([0.1, 0.2, 0.4])
+
+
+def tensor(found) -> np.ndarray:
+    """Return the inertia about the center of mass along the object's axes [kg m^2]."""
+    turn = Rotation.from_quat(found.quat, scalar_first=True).as_matrix()
+    return turn @ np.diag(found.diagonal) @ turn.T
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 2, 3)])
+def test_the_inertia_of_a_tilted_geom_is_turned_with_it(axis):
+    turn = Rotation.from_rotvec(0.5 * np.array(axis) / np.linalg.norm(axis))
+    quat = tuple(turn.as_quat(scalar_first=True).tolist())
+    tilted = part("body", geom("box", Box(size=tuple(SIZE)), (0.3, -0.2, 0.5), quat=quat))
+    found = inertial(ObjectSpec(name="o", materials=(WOOD,), parts=(tilted,)), tilted)
+    mass = WOOD.density * SIZE.prod()
+    moments = mass / 12 * (np.sum(SIZE**2) - SIZE**2)
+    expected = turn.as_matrix() @ np.diag(moments) @ turn.as_matrix().T
+    assert found.mass == pytest.approx(mass)
+    assert found.pos == pytest.approx((0.3, -0.2, 0.5))
+    np.testing.assert_allclose(tensor(found), expected, atol=1e-9 * mass)
