@@ -184,7 +184,11 @@ def test_a_step_that_writes_a_file_which_is_not_its_own_is_an_error(tmp_path):
             (stage / "photo.png").write_text("")
 
 
-@pytest.mark.parametrize("name", [b"bad\xff.png".decode(errors="surrogateescape"), "\U0001f375 é"])
+@pytest.mark.parametrize(
+    "name",
+    [b"bad\xff.png".decode(errors="surrogateescape"), "\U0001f375 é"],
+    ids=["not UTF-8", "not ASCII"],
+)
 def test_names_are_written_so_that_a_run_is_read_again(tmp_path, name):
     with pytest.raises(RunError), RunFolder(tmp_path / "out", Config()) as run:
         run.record("photo", name=name)

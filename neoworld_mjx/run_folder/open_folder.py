@@ -278,16 +278,16 @@ class RunFolder:
     def fallback(self, step: str, outcome: str, reason: str) -> None:
         """Record that a step did less than requested: its actual outcome, and the reason."""
         if self._add_entry("fallbacks", step, outcome, reason):
-            _log.warning("%s: %s: %s", step, outcome, reason)
+            _log.warning("%s", printable(f"{step}: {outcome}: {reason}"))
 
     def note(self, step: str, outcome: str, reason: str) -> None:
         """Record a noteworthy outcome of a step that did as requested, such as a large move."""
         if self._add_entry("notes", step, outcome, reason):
-            report(f"{step}: {outcome}: {reason}")
+            report(printable(f"{step}: {outcome}: {reason}"))
 
     def _add_entry(self, kind: str, step: str, outcome: str, reason: str) -> bool:
         """Add an entry to a list of run.json; return True if it is new."""
-        entry = {"step": step, "what": outcome, "why": reason}
+        entry = strict_json({"step": step, "what": outcome, "why": reason})
         new = entry not in self.data[kind]
         if new:
             self.data[kind].append(entry)
