@@ -24,7 +24,7 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -98,17 +98,10 @@ class Mailbox:
             # Write one folder at a time, so that folders are numbered in the order of the requests.
             async with self._order:
                 folder = await asyncio.to_thread(self._folder_of, request)
-            waiting = f"{folder.name}/{WAITING}"
-            write_inside(self._folder, waiting, "A run waits for a response.\n")
             if not os.path.lexists(folder / RESPONSE):
                 waits = f"{request.name} ({request.role}) waits for {folder / RESPONSE}"
                 _announce(f"mailbox: {waits}")
-            try:
-                text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
-            finally:
-                # The folder may be gone, or lead elsewhere.
-                with suppress(OSError, ModelError), open_parent(self._folder, waiting) as (at, _):
-                    os.unlink(WAITING, dir_fd=at)
+            text = await asyncio.wait_for(self._response(request, folder), self._timeout_s)
         except TimeoutError:
             raise ModelError(
                 f"{request.name}: no valid response.json in {self._folder} within "
@@ -164,24 +157,44 @@ class Mailbox:
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
         """Wait for a valid response in a folder, which stays the one that was opened here."""
+        with ExitStack() as stack:
+            try:
+                parent = open_parent(self._folder, f"{folder.name}/{RESPONSE}")
+                opened, _ = stack.enter_context(parent)
+            except OSError:
+                raise ModelError(_REPLACED.format(folder=folder)) from None
+            _check_same(opened, folder)
+            write_at(opened, folder / WAITING, "A run waits for a response.\n")
+            try:
+                return await self._valid_response(request, folder, opened)
+            finally:
+                with suppress(OSError):
+                    os.unlink(WAITING, dir_fd=opened)
+
+    async def _valid_response(self, request: Request[Any], folder: Path, opened: int) -> str:
         path = folder / RESPONSE
-        with open_parent(self._folder, f"{folder.name}/{RESPONSE}") as (opened, _):
-            while True:
-                _check_same(opened, folder)
-                with suppress(FileNotFoundError):  # There is no response yet, or no more.
-                    data = read_bytes(path, MAX_BODY_BYTES, follow=False, parent=opened)
-                    text = data.decode("utf-8", errors="replace")
-                    try:
-                        read_response(text, request.schema)
-                    except InvalidResponse as error:
-                        written = os.stat(RESPONSE, dir_fd=opened, follow_symlinks=False).st_mtime
-                        if abs(time.time() - written) >= UNCHANGED_S or is_json(text):
-                            _reject(opened, folder, str(error))
-                    else:
-                        with suppress(FileNotFoundError):
-                            os.unlink(ERROR, dir_fd=opened)
-                        return text
-                await asyncio.sleep(POLL_S)
+        while True:
+            _check_same(opened, folder)
+            with suppress(FileNotFoundError):  # There is no response yet, or no more.
+                data = read_bytes(path, MAX_BODY_BYTES, follow=False, parent=opened)
+                text = data.decode("utf-8", errors="replace")
+                try:
+                    read_response(text, request.schema)
+                except InvalidResponse as error:
+                    written = os.stat(RESPONSE, dir_fd=opened, follow_symlinks=False).st_mtime
+                    if abs(time.time() - written) >= UNCHANGED_S or is_json(text):
+                        _reject(opened, folder, str(error))
+                else:
+                    with suppress(FileNotFoundError):
+                        os.unlink(ERROR, dir_fd=opened)
+                    return text
+            await asyncio.sleep(POLL_S)
+
+
+_REPLACED = (
+    "{folder} was removed or replaced while the run waited for its response; resume the run, which "
+    "writes the request again"
+)
 
 
 def _check_same(opened: int, folder: Path) -> None:
@@ -193,10 +206,7 @@ def _check_same(opened: int, folder: Path) -> None:
     except OSError:
         actual = None
     if actual is None or not os.path.samestat(expected, actual):
-        raise ModelError(
-            f"{folder} was removed or replaced while the run waited for its response; resume the "
-            "run, which writes the request again"
-        )
+        raise ModelError(_REPLACED.format(folder=folder))
 
 
 def _reject(opened: int, folder: Path, reason: str) -> None:
