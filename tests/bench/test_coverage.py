@@ -71,6 +71,21 @@ def test_objects_of_another_support_do_not_count():
     assert not list(object_errors(truth.model_copy(update={"objects": tuple(objects)}), truth))
 
 
+def test_a_desk_that_ends_elsewhere_is_no_error_of_measured_objects():
+    """The desk is 50 mm too near and everything on it is where it was photographed."""
+    truth = desk.five()
+    table = truth.object("desk").model_copy(update={"xy": (0.85, 0.0)})
+    moved = [
+        item.model_copy(update={"uncertainty": KNOWN, "xy": (item.xy[0] + 0.05, item.xy[1])})
+        for item in truth.objects
+        if item.parent is not None
+    ]
+    scene = truth.model_copy(update={"objects": (table, *moved)})
+    errors = [value for _, value in object_errors(scene, truth, absolute=True)]
+    assert max(errors) == pytest.approx(0.0, abs=1e-9)
+    assert max(value for _, value in object_errors(scene, truth)) > 3.0
+
+
 def test_the_coverage_counts_the_intervals_that_hold_the_truth():
     known = {"evaluation": False, "quantity": "yaw"}
     rows = [IntervalRow(scene=f"scene {k % 5}", deviations=0.1 * k, **known) for k in range(40)]

@@ -49,7 +49,8 @@ def interval_rows(name: str, starts: int, evidence: Sequence[str] = ()) -> Itera
         number = noise_number(f"evidence/{name}", 0, start)
         alignment = initial.placed(known_evidence(evidence, truth, photo, number)).alignment
         assert alignment is not None  # A photograph is given.
-        for quantity, value in object_errors(alignment.scene, truth):
+        absolute = "depth" in evidence
+        for quantity, value in object_errors(alignment.scene, truth, absolute=absolute):
             yield IntervalRow(
                 scene=name, quantity=quantity, evaluation=is_evaluation(start), deviations=value
             )
@@ -79,7 +80,9 @@ def _coverage(rows: list[IntervalRow], evaluation: bool, quantity: str) -> dict[
     }
 
 
-def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, float]]:
+def object_errors(
+    scene: SceneSpec, truth: SceneSpec, *, absolute: bool = False
+) -> Iterator[tuple[str, float]]:
     """Yield the errors of aligned objects, in their stated standard deviations.
 
     Positions are relative to the support, as the deviations are: a wrong field of view moves the
@@ -89,6 +92,8 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
     Args:
         scene: the aligned scene.
         truth: the ground truth, seen by a camera above the same origin.
+        absolute: if True, positions on fixed supports are those in the world. A depth image
+            measures objects, and not where a table ends.
     """
     ends, begins = world_poses(scene), world_poses(truth)
     true = {item.name: item for item in truth.objects}
@@ -100,7 +105,8 @@ def object_errors(scene: SceneSpec, truth: SceneSpec) -> Iterator[tuple[str, flo
             continue
         if item.relation == "attached" or item.parent not in offset:
             continue
-        off = offset[item.name] - offset[item.parent]
+        on_fixed = true[item.parent].parent is None
+        off = offset[item.name] - (0.0 if absolute and on_fixed else offset[item.parent])
         view = ends[item.name].pos[:2] / np.linalg.norm(ends[item.name].pos[:2])
         yield "along", abs(float(off @ view)) / known.along
         yield "across", abs(float(off @ [-view[1], view[0]])) / known.across
