@@ -20,7 +20,7 @@ NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 EvidenceName = Literal["fov", "exif", "pose", "depth", "affine", "disparity", "masks"]
 """Kinds of evidence of `noise.known_evidence`."""
 KnownView = Literal["photo", "camera", "depth"]
-"""What is known of a real view: the photograph, its camera besides, and its depth besides."""
+"""Evidence about a real view: the photograph, alone, with its camera, and with its depth."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
 
 
@@ -47,8 +47,8 @@ class GivenEvidence:
     """Options of suites in which the photograph comes with evidence."""
 
     evidence: tuple[EvidenceName, ...] = ()
-    """Evidence beside the photograph, none by default. fov, exif: field of view, calibrated or with
-    an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
+    """Evidence in addition to the photograph, none by default. fov, exif: field of view, calibrated
+    or with an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
     disparity: depth of a network, up to scale and shift; masks."""
 
 

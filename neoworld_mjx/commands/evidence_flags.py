@@ -20,7 +20,7 @@ class EvidenceFlags:
     masks: Path | None = None
     """Masks of the objects: an image of numbers, or a folder with a PNG of each object."""
     gravity: tuple[float, float, float] | None = None
-    """Direction in which things fall, in the camera's frame; 0 1 0 is a level camera."""
+    """Direction of gravity, in the camera's frame; 0 1 0 is a level camera."""
     base: Path | None = None
     """Pose of the camera in a robot's base frame, in which the scene is then expressed."""
     ground: float | None = None

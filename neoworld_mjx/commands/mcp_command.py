@@ -156,7 +156,7 @@ def build_server(folder: Path) -> "MCPServer":
 
     @server.resource("neoworld://skill", mime_type="text/markdown")
     def skill() -> str:
-        """How an agent reconstructs a photograph."""
+        """Guide for an agent that reconstructs a photograph."""
         return skill_text()
 
     @server.resource("neoworld://guide", mime_type="text/markdown")

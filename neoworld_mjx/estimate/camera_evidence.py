@@ -131,7 +131,7 @@ class CameraEstimate:
     deviation: float
     """Standard deviation, in the unit of `value`; not calibrated."""
     source: str
-    """Where the value comes from."""
+    """Source of the value."""
 
 
 def camera_estimates(

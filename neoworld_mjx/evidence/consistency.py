@@ -219,7 +219,7 @@ def _check_registration(depth: DepthImage, rgb: PhotoPixels) -> None:
         cause = _shift_phrase(given)
     else:
         cause = (
-            "it is of another photograph, or of a sensor beside the camera (give its camera and "
+            "it is of another photograph, or of a sensor next to the camera (give its camera and "
             "to_photo)"
         )
     raise EvidenceError(

@@ -178,7 +178,7 @@ def flying_pixels(
 def registered(
     depth: DepthImage, sensor: Lens, to_photo: Float[np.ndarray, "4 4"], photo: Lens
 ) -> DepthImage:
-    """Return the depths of a sensor beside the camera as depths in the photograph's image.
+    """Return the depths of a sensor next to the camera as depths in the photograph's image.
 
     Every pixel covers as many pixels of the result as it would at its depth; the nearest depth
     wins.
@@ -191,7 +191,7 @@ def registered(
     """
     if depth.kind != "metric":
         raise EvidenceError(
-            f"{depth.source}: a sensor beside the camera needs metric depth, not {depth.kind}"
+            f"{depth.source}: a sensor next to the camera needs metric depth, not {depth.kind}"
         )
     rows, columns = np.nonzero(np.isfinite(depth.values))
     pixels = np.column_stack([columns + 0.5, rows + 0.5])

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 DepthKind = Literal["metric", "affine", "disparity"]
-"""How the values of a depth image depend on the depth z along the view [m].
+"""Relation of the values of a depth image to the depth z along the view [m].
 
 - metric: they are z.
 - affine: z = scale * value + shift, with unknown scale and shift.
@@ -31,7 +31,7 @@ class DepthImage:
     smooth_sd: float = 0.0
     """Standard deviation of errors that neighboring pixels share, relative to the depth."""
     source: str = ""
-    """Where the values come from; for messages."""
+    """Source of the values, for messages."""
 
     def resized(self, height: int, width: int) -> "DepthImage":
         """Return the image at another size, with the value of the nearest pixel.

@@ -34,7 +34,7 @@ class StatedDepth(Spec):
     """Standard deviation of errors that neighboring pixels share, relative to the depth; by default
     .03 for affine depth and disparity, and 0 for metric depth."""
     camera: str | None = Field(default=None, max_length=400)
-    """Camera of a sensor beside the photograph's camera; if not stated, the depth image shows the
+    """Camera of a sensor next to the photograph's camera; if not stated, the depth image shows the
     photograph's view."""
     to_photo: Rows | None = None
     """Transform from the sensor's frame to that of the photograph's camera (OpenCV) [m]."""
@@ -56,7 +56,7 @@ class StatedEvidence(Spec):
     base: str | dict[str, object] | None = None
     """File with the pose of the camera in the base frame, or the pose itself."""
     gravity: Vec3 | None = None
-    """Direction in which things fall, in the camera's frame (OpenCV)."""
+    """Direction of gravity, in the camera's frame (OpenCV)."""
     ground: Number | None = None
     """Height of the scene's plane z = 0 in the base frame [m]."""
     depth: str | StatedDepth | None = None
@@ -219,7 +219,7 @@ def _depth(
         return depth
     if given.camera is None or given.to_photo is None:
         raise EvidenceError(
-            f"{depth.source}: give both camera and to_photo of a sensor beside the camera, or "
+            f"{depth.source}: give both camera and to_photo of a sensor next to the camera, or "
             "neither"
         )
     if problem := rigid_problem(np.array(given.to_photo)):
@@ -230,7 +230,7 @@ def _depth(
     photo = None if camera is None else photo_lens(camera, size, source)
     if sensor is None or photo is None:
         raise EvidenceError(
-            f"{depth.source}: a sensor beside the camera needs fx, fy, cx and cy of both cameras"
+            f"{depth.source}: a sensor next to the camera needs fx, fy, cx and cy of both cameras"
         )
     return registered(depth, sensor, np.array(given.to_photo), photo)
 

@@ -59,7 +59,7 @@ class FileCamera(Spec):
     """Axes of the camera's frame: x right, y down, z ahead (opencv), or x right, y up, z back
     (opengl)."""
     gravity: Vec3 | None = None
-    """Direction in which things fall, in the camera's frame, of any length. (0, 1, 0) is a level
+    """Direction of gravity, in the camera's frame, of any length. (0, 1, 0) is a level
     camera with OpenCV's axes."""
     ground: Number | None = None
     """Height of the scene's plane z = 0 in the base frame [m]: of the floor or, if no floor is

@@ -1,4 +1,4 @@
-"""What is known about the camera of a photograph, and its effect on a scene tree."""
+"""Known parameters of a photograph's camera, and their effect on a scene tree."""
 
 import math
 from dataclasses import dataclass
@@ -48,9 +48,9 @@ class KnownCamera:
     heading: float = 0.0
     """Direction of the view about +z in the base frame [rad]."""
     source: str = ""
-    """Where the values come from, such as a file's name; for messages."""
+    """Source of the values, such as a file's name; for messages."""
     focal_source: str = ""
-    """Where the focal length comes from, if not from `source`."""
+    """Source of the focal length, if it is not `source`."""
 
     def source_of(self, name: CameraUnknown) -> str:
         """Return where a known parameter comes from; "given" if it is not stated."""

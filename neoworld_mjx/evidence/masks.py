@@ -18,7 +18,7 @@ class Masks:
     names: Mapping[str, int] = field(default_factory=dict)
     """Number of each object, by its name in the scene."""
     source: str = ""
-    """Where the masks come from; for messages."""
+    """Source of the masks, for messages."""
 
     def resized(self, height: int, width: int) -> "Masks":
         """Return the masks at another size, with the value of the nearest pixel."""

@@ -28,7 +28,7 @@ from .schema import ParsedScene, SceneCorrection
 
 
 class Preview(NamedTuple):
-    """What Step 1 makes of a response."""
+    """Result of Step 1 for one response."""
 
     picture: Picture
     """The photograph with 2D and 3D boxes; the 3D boxes are those of the response."""

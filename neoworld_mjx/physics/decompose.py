@@ -78,7 +78,7 @@ class Decomposition(NamedTuple):
     pieces: list[NDArray]
     """Points of each piece [m], each of shape [n, 3]."""
     method: str | None = None
-    """How the pieces approximate the mesh, in words; None if the mesh itself is flat or convex."""
+    """Description of how the pieces approximate the mesh; None if it is flat or convex."""
 
 
 def convex_pieces(vertices: NDArray, faces: NDArray, time_s: float | None = None) -> Decomposition:

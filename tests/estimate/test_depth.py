@@ -153,7 +153,7 @@ def test_known_camera_is_kept(five, photo, wrong):
 
 
 def test_height_above_a_missing_support_is_measured(five, photo):
-    """What lies on a book that the scene lacks is 30 mm above the desk."""
+    """An object on a book that the scene lacks is measured 30 mm above the desk."""
     items = [
         item.model_copy(update={"z": item.z + 0.03}) if item.name == "brick" else item
         for item in five.objects

@@ -1,4 +1,4 @@
-"""Depth images: formats, missing values, flying pixels, and sensors beside the camera."""
+"""Depth images: formats, missing values, flying pixels, and sensors next to the camera."""
 
 import json
 

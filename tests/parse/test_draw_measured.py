@@ -41,7 +41,7 @@ def pixels(measured):
 
 
 def cyan(image):
-    """How much more green than red a gray photograph shows: only the grid does."""
+    """Return the excess of green over red: only the grid has one in a gray photograph."""
     return image[..., 1] - image[..., 0]
 
 

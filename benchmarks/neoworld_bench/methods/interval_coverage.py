@@ -40,7 +40,7 @@ def interval_rows(name: str, starts: int, evidence: Sequence[str] = ()) -> Itera
     Args:
         name: name of the scene.
         starts: number of initial scenes.
-        evidence: kinds of evidence given beside the photograph.
+        evidence: kinds of evidence in addition to the photograph.
     """
     truth = photographed(declaration(name))
     photo, response = photograph(truth), exact_response(truth)

@@ -40,7 +40,7 @@ class MethodRow(Row):
     """True if the initial scene is in the evaluation half."""
     method: str
     evidence: str
-    """Kinds of evidence given beside the photograph, joined by "+"; empty for none."""
+    """Kinds of evidence in addition to the photograph, joined by "+"; empty for none."""
     rollouts: int
 
     @property
@@ -73,7 +73,7 @@ class RunSettings:
     compose: ComposeOptions
     noise: NoiseLevel
     evidence: tuple[EvidenceName, ...] = ()
-    """Kinds of evidence given beside the photograph."""
+    """Kinds of evidence in addition to the photograph."""
 
 
 def run_settings(options: Any, config: Config) -> RunSettings:

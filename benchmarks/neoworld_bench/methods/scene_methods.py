@@ -191,7 +191,7 @@ def outcomes_of(
         initial: the noisy response and its objects.
         o: options of the refinement and of the final check.
         engine: engine that rolls out the candidates.
-        evidence: function that returns the photograph and what is known beside it.
+        evidence: function that returns the photograph and the other evidence.
         align: options of the alignment.
         seed: random seed of the searches.
     """

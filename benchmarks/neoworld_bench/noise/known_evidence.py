@@ -77,7 +77,7 @@ def known_evidence(
         kinds: kinds of evidence, checked by `check_evidence`; none for the photograph alone.
         truth: the ground truth, with the camera of the photograph.
         photo: the photograph (sRGB).
-        number: seed of the errors. For one number, a kind has the same errors beside all others.
+        number: seed of the errors. For one number, a kind has the same errors with any other kinds.
     """
     camera = truth.camera
     assert camera is not None
