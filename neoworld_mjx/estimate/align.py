@@ -9,11 +9,11 @@ pose, and its 2D box keeps it in place in the image if the camera moves.
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
 from ..config import AlignOptions
 from ..errors import PhotoError
@@ -28,64 +28,25 @@ from .alignment import (
     FittedUnknowns,
     JointAlignment,
     ObjectAlignment,
-    camera_deviations,
     is_misjudged,
     opening_deviation,
-    prior_precision,
 )
-from .camera_evidence import camera_estimates, edges_of_photo, linearized_edges
-from .colors import LabImage, is_supported, overlap, shown_at
-from .contacts import SceneGeoms, contacts
-from .depth_rows import SceneDepth
-from .depth_start import (
-    moved_to,
-    place_by_depth,
-    support_plane,
-    with_measured_supports,
-    with_places_kept,
-)
-from .image_lines import VerticalEdges
-from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
-from .rasterize import DrawnObjects, height_of
+from .alignment_problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentStage
+from .camera_evidence import camera_estimates, edges_of_photo
+from .colors import LabImage
+from .contacts import SceneGeoms
+from .normal_equations import NormalEquations, Source
+from .rasterize import height_of
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
 SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""
-COARSE_PX, FINE_PX = 320, 640
-"""Widths of the coarse and the fine image [px]."""
 NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
-PLANE_DEVIATIONS = {"pitch": math.radians(0.1), "roll": math.radians(0.1), "height": 0.003}
-"""Standard deviations of the camera by the plane of a support: angles [rad], and log height."""
-CONTRADICTED = "the place that it suggests contradicts the object's colors or mask"
-"""Reason reported for objects whose depth is not used."""
-SAME_OVERLAP = 0.01
-"""Difference of intersections over union with a known mask up to which they count as equal."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
 of the log scale. They were set on the development half of the benchmark scenes. `neoworld
 bench run coverage` counts the 90 % intervals that contain the true value."""
-
-
-@dataclass(frozen=True)
-class AlignmentStage:
-    """A number of Gauss-Newton steps with the same settings."""
-
-    steps: int
-    width: int
-    """Width of the image [px]."""
-    reach: float = 0.0
-    """Largest displacement of a contour, in pixels of an image REFERENCE_PX wide; if 0, only 2D
-    boxes are used."""
-    spacing: float = 0.0
-    """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
-    local_colors: bool = False
-    """If True, use the colors near each point of a contour, too."""
-    depth_reach: float = 0.02
-    """Residual of a depth at which its weight is quartered [m]."""
-    open_focal: bool = False
-    """If True, use the wide prior of the focal length, and estimate after each step whether the
-    field of view is misjudged."""
 
 
 STAGES = (
@@ -182,32 +143,25 @@ def _aligned(
             f"camera ({camera.width} x {camera.height_px})"
         )
     rises = evidence.depth is not None
-    make = partial(
+    unknowns_of = partial(
         Unknowns.of, camera=camera, joints=o.joints and o.contours, only=only, rises=rises
     )
-    unknowns = make(scene)
+    unknowns = unknowns_of(scene)
     if not len(unknowns.free):
         return Alignment(scene)
-    if evidence.depth is not None and evidence.depth.kind == "metric":
-        rough = _Problem(unknowns, o, measured, None, evidence)
-        x = rough.camera_start()
-        first, after = rough.depth_at(np.zeros_like(x)), unknowns.camera_at(x)[0]
-        unknowns = make(with_places_kept(scene, first, after))
-        moved = replace(rough, unknowns=unknowns).depth_at(x)
-        # The camera stays as estimated: moved supports would change what it is estimated from.
-        unknowns = make(with_measured_supports(unknowns.scene, moved))
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
-    problem = _Problem(unknowns, o, measured, colliders, evidence)
+    problem = AlignmentProblem(unknowns, o, measured, colliders, evidence)
     try:
+        problem = problem.measured(unknowns_of, supports=only is None)
         return _solution(problem, photo, images, stages)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=f"the solver failed: {str(error).splitlines()[0]}")
 
 
 def _solution(
-    problem: "_Problem",
+    problem: AlignmentProblem,
     photo: UInt8[np.ndarray, "row column 3"],
     images: dict[int, LabImage],
     stages: Sequence[AlignmentStage],
@@ -220,8 +174,7 @@ def _solution(
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = problem.start()
     if problem.evidence.depth is not None and problem.evidence.depth.kind == "metric":
-        by_plane = bool(x[:CAMERA].any())
-        problem = replace(problem, mean=x.copy(), by_plane=by_plane)
+        problem = replace(problem, mean=x.copy())
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:
@@ -267,265 +220,8 @@ def _solution(
     return _result(problem, x, equations, reasons, outcomes)
 
 
-@dataclass(frozen=True)
-class _Problem:
-    unknowns: Unknowns
-    options: AlignOptions
-    measured: frozenset[str]
-    colliders: SceneGeoms | None
-    """Collision geoms of the scene; None if objects may overlap."""
-    evidence: Evidence = field(default_factory=Evidence)
-    """Known camera, depth image and masks."""
-    misjudged: bool = True
-    """True if the field of view is or may be misjudged."""
-    edges: VerticalEdges | None = None
-    """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
-    mean: Float[np.ndarray, " u"] | None = None
-    """Mean of the prior; None if it is the composed scene."""
-    by_plane: bool = False
-    """True if the plane of a support determines the mean of the camera's pitch, roll and height."""
-    without_depth: frozenset[int] = frozenset()
-    """Indices of the objects whose depth is ignored."""
-    held: frozenset[int] = frozenset()
-    """Indices of the open joints that keep their composed positions."""
-
-    @property
-    def uses_edges(self) -> bool:
-        """True if vertical edges are evidence about the camera."""
-        return self.options.camera and self.options.contours and self.options.edges
-
-    def start(self) -> Float[np.ndarray, " u"]:
-        """Return initial values: the composed scene, or every object at its measured distance.
-
-        With metric depth, fixed supports locate the camera first. Objects follow, parents first.
-        """
-        unknowns, image = self.unknowns, self.evidence.depth
-        x = np.zeros(unknowns.size)
-        if image is None:
-            return x
-        first = self.depth_at(x)
-        x[:CAMERA] = self.camera_by_depth(x)
-        level = unknowns.arrangement.ancestors.sum(axis=1)
-        for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
-            place = place_by_depth(first, k)
-            if place is not None and not unknowns.in_wall[k].any():
-                x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
-        return x
-
-    def camera_start(self) -> Float[np.ndarray, " u"]:
-        """Return the composed scene, with the camera by depth."""
-        x = np.zeros(self.unknowns.size)
-        x[:CAMERA] = self.camera_by_depth(x)
-        return x
-
-    def camera_by_depth(self, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " 4"]:
-        """Return the camera's unknowns by the plane of the largest support.
-
-        They are those of `x` without metric depth, without such a plane, and where they are known.
-        """
-        found, image = x[:CAMERA].copy(), self.evidence.depth
-        if image is None or image.kind != "metric" or not self.options.camera:
-            return found
-        plane = support_plane(self.depth_at(x))
-        if plane is None:
-            return found
-        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
-        now, _ = self.unknowns.camera_at(x)
-        pitch, roll = plane.pitch - now.pitch, plane.roll - now.roll
-        log_height = math.log(plane.height / now.height)
-        for column, (name, change) in enumerate(
-            (("pitch", pitch), ("roll", roll), ("focal", 0.0), ("height", log_height))
-        ):
-            if name not in known:
-                found[column] += change
-        return found
-
-    def depth_outcomes(
-        self, x: Float[np.ndarray, " u"], refused: Collection[int]
-    ) -> dict[int, DepthOutcome]:
-        """Return what the depth image says of each free object, by index.
-
-        Args:
-            x: values of the unknowns after the alignment.
-            refused: indices of the objects whose depth was not used.
-        """
-        if self.evidence.depth is None:
-            return {}
-        unknowns = self.unknowns
-        before, after = (self.depth_at(values) for values in (np.zeros_like(x), x))
-        found = {}
-        for k in unknowns.free.tolist():
-            first, last = before.pixels(k), after.pixels(k)
-            if last is None:
-                continue
-            rise = sum(x[u] for u in unknowns.rise_columns(k))
-            start = last if first is None else first
-            was, now = (float(np.median(np.abs(pixels.residual))) for pixels in (start, last))
-            reason = CONTRADICTED if k in refused else ""
-            found[k] = DepthOutcome(len(last.residual), was, now, float(rise), reason)
-        return found
-
-    def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
-        """Return the measured depth of the scene rendered at `x`."""
-        now = self.unknowns.place(x[None])[0]
-        drawn = self.unknowns.draw(now, COARSE_PX)
-        assert self.evidence.depth is not None
-        return SceneDepth.of(self.evidence.depth, self.evidence.masks, self.unknowns, now, drawn)
-
-    def linearized(
-        self,
-        x: Float[np.ndarray, " u"],
-        image: LabImage,
-        stage: AlignmentStage,
-        silent: Collection[int],
-    ) -> tuple[NormalEquations, DrawnObjects]:
-        """Return the normal equations at `x`, and the objects rendered at `x`.
-
-        Args:
-            x: values of the unknowns.
-            image: the photograph at the stage's width.
-            stage: settings of the Gauss-Newton steps.
-            silent: indices of the objects whose contours are ignored.
-        """
-        unknowns = self.unknowns
-        now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
-        drawn = unknowns.draw(now, stage.width)
-        depth = None
-        if self.evidence.depth is not None:
-            depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
-        equations = NormalEquations(
-            unknowns,
-            prior_precision(
-                unknowns, now, x if self.mean is None else x - self.mean, self.camera_deviations()
-            ),
-            x,
-            mean=self.mean,
-            global_count=0 if depth is None else depth.global_count,
-        )
-        if self.edges is not None:
-            equations.add_camera(*linearized_edges(self.edges, unknowns, x))
-        if self.colliders is not None:
-            equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
-        if depth is not None:
-            for k in range(len(unknowns.scene.objects)):
-                rows = depth.evidence(neighbors, k, stage.depth_reach)
-                if rows is not None and k not in self.without_depth:
-                    equations.add_depth(k, rows)
-        masks = self.masks_at(drawn)
-        for k in unknowns.free.tolist():
-            box = box_evidence(unknowns, now, neighbors, drawn, k)
-            if box is not None:
-                equations.add_box(k, box)
-            if stage.reach == 0 or k in silent:
-                continue
-            contour = contour_evidence(
-                unknowns,
-                now,
-                neighbors,
-                drawn,
-                image,
-                k,
-                reach=stage.reach,
-                step=stage.spacing,
-                local_colors=stage.local_colors,
-                known=masks.get(k),
-            )
-            if contour is not None:
-                equations.add_contour(k, contour)
-        return equations, drawn
-
-    def masks_at(self, drawn: DrawnObjects) -> dict[int, Bool[np.ndarray, "row column"]]:
-        """Return the known masks at the size of a rendering, by index of the object."""
-        if self.evidence.masks is None:
-            return {}
-        names = [item.name for item in self.unknowns.scene.objects]
-        return self.evidence.masks.at(names, *drawn.owner.shape)
-
-    def camera_deviations(self) -> Float[np.ndarray, " 4"]:
-        """Return the prior standard deviations of the camera's unknowns."""
-        if not self.options.camera:
-            return np.full(CAMERA, 1e-9)
-        known = PLANE_DEVIATIONS if self.by_plane else {}
-        if self.evidence.camera is not None:
-            known = known | self.evidence.camera.deviations()
-        return camera_deviations(self.measured, known, misjudged=self.misjudged)
-
-    def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
-        x = equations.solved(held=self.as_composed(equations))
-        if not self.options.camera:
-            x[:CAMERA] = 0.0
-        return x
-
-    def as_composed(self, equations: NormalEquations) -> dict[int, float]:
-        """Return the value 0 for the unknown of each joint that keeps its composed position.
-
-        These are the joints in `held` and all joints of objects without contour evidence.
-        """
-        first = self.unknowns.first_joint
-        return {
-            first + j: 0.0
-            for j, joint in enumerate(self.unknowns.joints)
-            if j in self.held or joint.object not in equations.with_contour
-        }
-
-    def refused_joints(
-        self,
-        equations: NormalEquations,
-        drawn: DrawnObjects,
-        bins: Int[np.ndarray, "row column"],
-    ) -> frozenset[int]:
-        """Return the joints whose changes make their objects fit the photograph less well."""
-        unknowns, held = self.unknowns, self.as_composed(equations)
-        now = unknowns.place(equations.solved(held=held)[None])[0]
-        refused = []
-        for j, joint in enumerate(unknowns.joints):
-            u = unknowns.first_joint + j
-            if u in held:
-                continue
-            other = unknowns.place(equations.solved(held=held | {u: 0.0})[None])[0]
-            moved, composed = (
-                shown_at(unknowns, place, drawn, joint.object) for place in (now, other)
-            )
-            if not is_supported(moved, composed, bins):
-                refused.append(j)
-        return frozenset(refused)
-
-    def refused(
-        self,
-        equations: NormalEquations,
-        drawn: DrawnObjects,
-        bins: Int[np.ndarray, "row column"],
-        source: Source = "contour",
-    ) -> tuple[int, ...]:
-        """Return the objects whose colors contradict the evidence of a source.
-
-        They fit the photograph less well with this evidence than without.
-        """
-        unknowns = self.unknowns
-        held = self.as_composed(equations)
-        now = unknowns.place(equations.solved(held=held)[None])[0]
-        refused = []
-        masks = self.masks_at(drawn)
-        used = equations.with_contour if source == "contour" else equations.with_depth
-        for k in (k for k in used if k in unknowns.free):
-            still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
-            other = unknowns.place(equations.solved(without=(k,), held=still, source=source)[None])[
-                0
-            ]
-            with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            known = masks.get(k)
-            if known is None:
-                supported = is_supported(with_it, without, bins)
-            else:
-                supported = overlap(with_it, known) >= overlap(without, known) - SAME_OVERLAP
-            if not supported:
-                refused.append(k)
-        return tuple(refused)
-
-
 def _result(
-    problem: _Problem,
+    problem: AlignmentProblem,
     x: Float[np.ndarray, " u"],
     equations: NormalEquations,
     reasons: dict[int, str],
@@ -570,7 +266,7 @@ def _result(
             after,
             np.sqrt(np.diag(covariance)[:CAMERA]),
             problem.evidence,
-            measured=problem.measured,
+            measured=problem.measured_camera,
             edges=problem.edges is not None,
         ),
         fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),

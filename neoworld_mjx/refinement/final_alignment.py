@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..config import AlignOptions, RefineOptions
-from ..estimate.align import FINE_PX, align_again
+from ..estimate.align import align_again
+from ..estimate.alignment_problem import FINE_PX
 from ..estimate.colors import SAME_PX, LabImage, is_supported
 from ..estimate.rasterize import draw_scene, height_of, pixels_of
 from ..evidence.evidence import Evidence

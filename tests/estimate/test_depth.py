@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import AlignOptions
-from neoworld_mjx.estimate.align import align
+from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.estimate.depth_rows import SceneDepth, measured_depth
 from neoworld_mjx.estimate.depth_start import place_by_depth, support_plane, with_measured_supports
 from neoworld_mjx.estimate.unknowns import STEP, Unknowns
@@ -197,6 +197,19 @@ def test_wall_moves_to_its_measured_distance(five):
     moved = with_measured_supports(scene, depth)
     assert moved.object("wall").xy == pytest.approx((1.6, 0.0), abs=0.01)
     assert moved.object("desk") == scene.object("desk")
+
+
+def test_aligning_again_moves_no_support(five, photo):
+    """A wall that is 10 cm too near stays where the search left it."""
+    wall = desk.block("wall", 0.05, 3.0, 2.0, "white")
+    behind = SceneObject(name="wall", spec=wall, environment=True, xy=(1.6, 0.0), z=-0.5)
+    truth = five.model_copy(update={"objects": (*five.objects, behind)})
+    near = behind.model_copy(update={"xy": (1.5, 0.0)})
+    scene = five.model_copy(update={"objects": (*five.objects, near)})
+    evidence = Evidence(camera=KNOWN, depth=DepthImage(noisy(truth)))
+    again = align_again(scene, photo, {"box"}, evidence=evidence)
+    assert again.scene.object("wall") == near
+    assert again.scene.camera == scene.camera
 
 
 def test_masks_replace_colors(five):

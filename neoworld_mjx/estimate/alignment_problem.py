@@ -1,0 +1,335 @@
+"""Problem of the alignment: its evidence, its start, and its equations at some values."""
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..config import AlignOptions
+from ..evidence.evidence import Evidence
+from ..spec import SceneSpec
+from .alignment import DepthOutcome, camera_deviations, prior_precision
+from .camera_evidence import linearized_edges
+from .colors import LabImage, is_supported, overlap, shown_at
+from .contacts import SceneGeoms, contacts
+from .depth_rows import SceneDepth
+from .depth_start import (
+    SupportPlane,
+    moved_to,
+    place_by_depth,
+    support_plane,
+    with_measured_supports,
+    with_places_kept,
+)
+from .image_lines import VerticalEdges
+from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
+from .rasterize import DrawnObjects
+from .unknowns import CAMERA, Unknowns
+
+CAMERA_NAMES = ("pitch", "roll", "focal", "height")
+"""Names of the camera's unknowns, in their order."""
+COARSE_PX, FINE_PX = 320, 640
+"""Widths of the coarse and the fine image [px]."""
+PLANE_DEVIATIONS = {"pitch": math.radians(0.1), "roll": math.radians(0.1), "height": 0.003}
+"""Standard deviations of the camera by the plane of a support: angles [rad], and log height."""
+CONTRADICTED = "the place that it suggests contradicts the object's colors or mask"
+"""Reason reported for objects whose depth is not used."""
+SAME_OVERLAP = 0.01
+"""Difference of intersections over union with a known mask up to which they count as equal."""
+
+
+@dataclass(frozen=True)
+class AlignmentStage:
+    """A number of Gauss-Newton steps with the same settings."""
+
+    steps: int
+    width: int
+    """Width of the image [px]."""
+    reach: float = 0.0
+    """Largest displacement of a contour, in pixels of an image REFERENCE_PX wide; if 0, only 2D
+    boxes are used."""
+    spacing: float = 0.0
+    """Distance between samples along a normal, in pixels of an image REFERENCE_PX wide."""
+    local_colors: bool = False
+    """If True, use the colors near each point of a contour, too."""
+    depth_reach: float = 0.02
+    """Residual of a depth at which its weight is quartered [m]."""
+    open_focal: bool = False
+    """If True, use the wide prior of the focal length, and estimate after each step whether the
+    field of view is misjudged."""
+
+
+@dataclass(frozen=True)
+class AlignmentProblem:
+    """Unknowns, options and evidence of an alignment, and the equations at some values."""
+
+    unknowns: Unknowns
+    options: AlignOptions
+    measured_camera: frozenset[str]
+    """Camera parameters that the response measured."""
+    colliders: SceneGeoms | None
+    """Collision geoms of the scene; None if objects may overlap."""
+    evidence: Evidence = field(default_factory=Evidence)
+    """Known camera, depth image and masks."""
+    misjudged: bool = True
+    """True if the field of view is or may be misjudged."""
+    edges: VerticalEdges | None = None
+    """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    mean: Float[np.ndarray, " u"] | None = None
+    """Mean of the prior; None if it is the composed scene."""
+    plane: SupportPlane | None = None
+    """Camera by the plane of a support; None without metric depth or such a plane."""
+    without_depth: frozenset[int] = frozenset()
+    """Indices of the objects whose depth is ignored."""
+    held: frozenset[int] = frozenset()
+    """Indices of the open joints that keep their composed positions."""
+
+    @property
+    def uses_edges(self) -> bool:
+        """True if vertical edges are evidence about the camera."""
+        return self.options.camera and self.options.contours and self.options.edges
+
+    def start(self) -> Float[np.ndarray, " u"]:
+        """Return initial values: the composed scene, or every object at its measured place.
+
+        The plane of a support locates the camera first. Objects follow, parents first.
+        """
+        unknowns = self.unknowns
+        x = self.camera_start()
+        if self.evidence.depth is None:
+            return x
+        first = self.depth_at(np.zeros_like(x))
+        level = unknowns.arrangement.ancestors.sum(axis=1)
+        for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
+            place = place_by_depth(first, k)
+            if place is not None and not unknowns.in_wall[k].any():
+                x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
+        return x
+
+    def camera_start(self) -> Float[np.ndarray, " u"]:
+        """Return the composed scene with the camera by the plane, where it is not known."""
+        x = np.zeros(self.unknowns.size)
+        if self.plane is None:
+            return x
+        known = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        now = self.unknowns.camera
+        changes = {
+            "pitch": self.plane.pitch - now.pitch,
+            "roll": self.plane.roll - now.roll,
+            "height": math.log(self.plane.height / now.height),
+        }
+        for name, change in changes.items():
+            if name not in known:
+                x[CAMERA_NAMES.index(name)] = change
+        return x
+
+    def measured(
+        self, unknowns_of: Callable[[SceneSpec], Unknowns], *, supports: bool
+    ) -> "AlignmentProblem":
+        """Return the problem with the camera and, if asked, the supports that a depth image shows.
+
+        Without metric depth, the problem is returned unchanged.
+
+        Args:
+            unknowns_of: function that returns the unknowns of a scene.
+            supports: if True, walls and raised supports move to their measured places.
+        """
+        image = self.evidence.depth
+        if image is None or image.kind != "metric":
+            return self
+        first = self.depth_at(np.zeros(self.unknowns.size))
+        plane = support_plane(first) if self.options.camera else None
+        problem = replace(self, plane=plane)
+        if not supports:
+            return problem
+        x = problem.camera_start()
+        scene = with_places_kept(self.unknowns.scene, first, self.unknowns.camera_at(x)[0])
+        problem = replace(problem, unknowns=unknowns_of(scene))
+        # The plane is kept: the moved supports would change what it was estimated from.
+        scene = with_measured_supports(scene, problem.depth_at(x))
+        return replace(problem, unknowns=unknowns_of(scene))
+
+    def depth_outcomes(
+        self, x: Float[np.ndarray, " u"], refused: Collection[int]
+    ) -> dict[int, DepthOutcome]:
+        """Return what the depth image says of each free object, by index.
+
+        Args:
+            x: values of the unknowns after the alignment.
+            refused: indices of the objects whose depth was not used.
+        """
+        if self.evidence.depth is None:
+            return {}
+        unknowns = self.unknowns
+        before, after = (self.depth_at(values) for values in (np.zeros_like(x), x))
+        found = {}
+        for k in unknowns.free.tolist():
+            first, last = before.pixels(k), after.pixels(k)
+            if last is None:
+                continue
+            rise = sum(x[u] for u in unknowns.rise_columns(k))
+            start = last if first is None else first
+            was, now = (float(np.median(np.abs(pixels.residual))) for pixels in (start, last))
+            reason = CONTRADICTED if k in refused else ""
+            found[k] = DepthOutcome(len(last.residual), was, now, float(rise), reason)
+        return found
+
+    def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
+        """Return the measured depth of the scene rendered at `x`."""
+        now = self.unknowns.place(x[None])[0]
+        drawn = self.unknowns.draw(now, COARSE_PX)
+        assert self.evidence.depth is not None
+        return SceneDepth.of(self.evidence.depth, self.evidence.masks, self.unknowns, now, drawn)
+
+    def linearized(
+        self,
+        x: Float[np.ndarray, " u"],
+        image: LabImage,
+        stage: AlignmentStage,
+        silent: Collection[int],
+    ) -> tuple[NormalEquations, DrawnObjects]:
+        """Return the normal equations at `x`, and the objects rendered at `x`.
+
+        Args:
+            x: values of the unknowns.
+            image: the photograph at the stage's width.
+            stage: settings of the Gauss-Newton steps.
+            silent: indices of the objects whose contours are ignored.
+        """
+        unknowns = self.unknowns
+        now, neighbors = unknowns.place(x[None])[0], unknowns.neighbors(x)
+        drawn = unknowns.draw(now, stage.width)
+        depth = None
+        if self.evidence.depth is not None:
+            depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
+        equations = NormalEquations(
+            unknowns,
+            prior_precision(
+                unknowns, now, x if self.mean is None else x - self.mean, self.camera_deviations()
+            ),
+            x,
+            mean=self.mean,
+            global_count=0 if depth is None else depth.global_count,
+        )
+        if self.edges is not None:
+            equations.add_camera(*linearized_edges(self.edges, unknowns, x))
+        if self.colliders is not None:
+            equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
+        if depth is not None:
+            for k in range(len(unknowns.scene.objects)):
+                rows = depth.evidence(neighbors, k, stage.depth_reach)
+                if rows is not None and k not in self.without_depth:
+                    equations.add_depth(k, rows)
+        masks = self.masks_at(drawn)
+        for k in unknowns.free.tolist():
+            box = box_evidence(unknowns, now, neighbors, drawn, k)
+            if box is not None:
+                equations.add_box(k, box)
+            if stage.reach == 0 or k in silent:
+                continue
+            contour = contour_evidence(
+                unknowns,
+                now,
+                neighbors,
+                drawn,
+                image,
+                k,
+                reach=stage.reach,
+                step=stage.spacing,
+                local_colors=stage.local_colors,
+                known=masks.get(k),
+            )
+            if contour is not None:
+                equations.add_contour(k, contour)
+        return equations, drawn
+
+    def masks_at(self, drawn: DrawnObjects) -> dict[int, Bool[np.ndarray, "row column"]]:
+        """Return the known masks at the size of a rendering, by index of the object."""
+        if self.evidence.masks is None:
+            return {}
+        names = [item.name for item in self.unknowns.scene.objects]
+        return self.evidence.masks.at(names, *drawn.owner.shape)
+
+    def camera_deviations(self) -> Float[np.ndarray, " 4"]:
+        """Return the prior standard deviations of the camera's unknowns."""
+        if not self.options.camera:
+            return np.full(CAMERA, 1e-9)
+        known = {} if self.plane is None else PLANE_DEVIATIONS
+        if self.evidence.camera is not None:
+            known = known | self.evidence.camera.deviations()
+        return camera_deviations(self.measured_camera, known, misjudged=self.misjudged)
+
+    def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
+        """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
+        x = equations.solved(held=self.as_composed(equations))
+        if not self.options.camera:
+            x[:CAMERA] = 0.0
+        return x
+
+    def as_composed(self, equations: NormalEquations) -> dict[int, float]:
+        """Return the value 0 for the unknown of each joint that keeps its composed position.
+
+        These are the joints in `held` and all joints of objects without contour evidence.
+        """
+        first = self.unknowns.first_joint
+        return {
+            first + j: 0.0
+            for j, joint in enumerate(self.unknowns.joints)
+            if j in self.held or joint.object not in equations.with_contour
+        }
+
+    def refused_joints(
+        self,
+        equations: NormalEquations,
+        drawn: DrawnObjects,
+        bins: Int[np.ndarray, "row column"],
+    ) -> frozenset[int]:
+        """Return the joints whose changes make their objects fit the photograph less well."""
+        unknowns, held = self.unknowns, self.as_composed(equations)
+        now = unknowns.place(equations.solved(held=held)[None])[0]
+        refused = []
+        for j, joint in enumerate(unknowns.joints):
+            u = unknowns.first_joint + j
+            if u in held:
+                continue
+            other = unknowns.place(equations.solved(held=held | {u: 0.0})[None])[0]
+            moved, composed = (
+                shown_at(unknowns, place, drawn, joint.object) for place in (now, other)
+            )
+            if not is_supported(moved, composed, bins):
+                refused.append(j)
+        return frozenset(refused)
+
+    def refused(
+        self,
+        equations: NormalEquations,
+        drawn: DrawnObjects,
+        bins: Int[np.ndarray, "row column"],
+        source: Source = "contour",
+    ) -> tuple[int, ...]:
+        """Return the objects whose colors contradict the evidence of a source.
+
+        They fit the photograph less well with this evidence than without.
+        """
+        unknowns = self.unknowns
+        held = self.as_composed(equations)
+        now = unknowns.place(equations.solved(held=held)[None])[0]
+        refused = []
+        masks = self.masks_at(drawn)
+        used = equations.with_contour if source == "contour" else equations.with_depth
+        for k in (k for k in used if k in unknowns.free):
+            still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
+            other = unknowns.place(equations.solved(without=(k,), held=still, source=source)[None])[
+                0
+            ]
+            with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
+            known = masks.get(k)
+            if known is None:
+                supported = is_supported(with_it, without, bins)
+            else:
+                supported = overlap(with_it, known) >= overlap(without, known) - SAME_OVERLAP
+            if not supported:
+                refused.append(k)
+        return tuple(refused)
