@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 
 DepthKind = Literal["metric", "affine", "disparity"]
 """Relation of the values of a depth image to the depth z along the view [m].
@@ -38,13 +39,18 @@ class DepthImage:
 
         Averages across an edge would be depths at which nothing is.
         """
-        rows, columns = (
-            np.minimum(((np.arange(n) + 0.5) * old / n).astype(int), old - 1)
-            for n, old in zip((height, width), self.values.shape, strict=True)
-        )
-        pick = np.ix_(rows, columns)
+        pick = nearest_pixels(self.values.shape, height, width)
         confidence = None if self.confidence is None else self.confidence[pick]
         return DepthImage(self.values[pick], self.kind, confidence, self.smooth_sd, self.source)
+
+
+def nearest_pixels(shape: tuple[int, ...], height: int, width: int) -> tuple[NDArray, NDArray]:
+    """Return the index of the nearest pixels with which an image of `shape` is resized."""
+    rows, columns = (
+        np.minimum(((np.arange(n) + 0.5) * old / n).astype(int), old - 1)
+        for n, old in zip((height, width), shape, strict=True)
+    )
+    return rows[:, None], columns[None]
 
 
 def sensor_sd(depth: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

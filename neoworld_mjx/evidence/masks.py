@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from ..spec import Box2D, SceneTree
+from .depth_image import nearest_pixels
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,8 @@ class Masks:
 
     def resized(self, height: int, width: int) -> "Masks":
         """Return the masks at another size, with the value of the nearest pixel."""
-        rows, columns = (
-            np.minimum(((np.arange(n) + 0.5) * old / n).astype(int), old - 1)
-            for n, old in zip((height, width), self.labels.shape, strict=True)
-        )
-        return Masks(self.labels[np.ix_(rows, columns)], self.names, self.source)
+        pick = nearest_pixels(self.labels.shape, height, width)
+        return Masks(self.labels[pick], self.names, self.source)
 
     def at(
         self, names: Sequence[str], height: int, width: int
