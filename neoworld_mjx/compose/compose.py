@@ -25,7 +25,7 @@ from ..spec import (
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
 from ..spec.scale import BoxFit, fit_to_box
-from .on_supports import in_contact
+from .on_supports import snap
 from .resting_pose import is_stable_upright, on_level, resting_tilt, with_joint_friction
 from .settle import has_same_footprint, position_inside, settle
 
@@ -92,8 +92,8 @@ def compose(
         if options.hold_joints:
             placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene, contact_notes = in_contact(scene, options)
-    return Composed(scene, scales, (*shortfalls, *notes, *contact_notes), tuple(shortfalls))
+    scene = snap(scene, options.gap_m)
+    return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:

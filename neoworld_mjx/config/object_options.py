@@ -222,9 +222,7 @@ class ComposeOptions(Options):
     settle: bool = option(
         True,
         "Simulate objects that lie tilted on a dish or slope, or lean in a container, until they "
-        "are at rest. Place contents and lids inside their container, clear of its walls, rather "
-        "than on its rim. Move leaning objects, without changing their tilt, until they touch what "
-        "they lean on.",
+        "are at rest. Place contents and lids inside their container, rather than on its rim.",
         difference=PaperDifference(
             False,
             "The search does not change tilts, and few objects are at rest at their parsed tilt.",

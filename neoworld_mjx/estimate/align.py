@@ -37,6 +37,7 @@ from .colors import LabImage
 from .contacts import SceneGeoms
 from .normal_equations import NormalEquations, Source
 from .rasterize import height_of
+from .standing import Standing
 from .unknowns import CAMERA, FOCAL, Placement, Unknowns
 
 SAME_ASPECT = 0.02
@@ -152,7 +153,8 @@ def _aligned(
     widths = {stage.width for stage in stages}
     images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
-    problem = AlignmentProblem(unknowns, o, measured, colliders, evidence)
+    standing = None if colliders is None else Standing.of(unknowns, colliders)
+    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
     try:
         problem = problem.measured(unknowns_of, supports=only is None)
         return _solution(problem, photo, images, stages)

@@ -13,7 +13,7 @@ from ..spec import SceneSpec
 from .alignment import DepthOutcome, camera_deviations, prior_precision
 from .camera_evidence import linearized_edges
 from .colors import LabImage, is_supported, overlap, shown_at
-from .contacts import SceneGeoms, contacts
+from .contacts import ContactGaps, SceneGeoms, contacts
 from .depth_rows import SceneDepth
 from .depth_start import (
     SupportPlane,
@@ -26,6 +26,7 @@ from .depth_start import (
 from .image_lines import VerticalEdges
 from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
 from .rasterize import DrawnObjects
+from .standing import Standing
 from .unknowns import CAMERA, Unknowns
 
 CAMERA_NAMES = ("pitch", "roll", "focal", "height")
@@ -71,6 +72,8 @@ class AlignmentProblem:
     """Camera parameters that the response measured."""
     colliders: SceneGeoms | None
     """Collision geoms of the scene; None if objects may overlap."""
+    standing: Standing | None
+    """Objects that stay over their supports; None if objects may overlap."""
     evidence: Evidence = field(default_factory=Evidence)
     """Known camera, depth image and masks."""
     misjudged: bool = True
@@ -216,7 +219,10 @@ class AlignmentProblem:
         if self.edges is not None:
             equations.add_camera(*linearized_edges(self.edges, unknowns, x))
         if self.colliders is not None:
-            equations.add_contacts(contacts(self.colliders, unknowns, now, neighbors))
+            gaps = [*contacts(self.colliders, unknowns, now)]
+            if self.standing is not None:
+                gaps += self.standing.insets(unknowns, now)
+            equations.add_contacts(ContactGaps.of(gaps, unknowns, now, neighbors))
         if depth is not None:
             for k in range(len(unknowns.scene.objects)):
                 rows = depth.evidence(neighbors, k, stage.depth_reach)

@@ -5,7 +5,8 @@ would slide into each other. Settling would then push them apart, away from thei
 photograph.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,10 +30,36 @@ MOST_CONTACTS = 6
 """Largest number of contacts between two objects; the contacts with the smallest gaps are used."""
 LEAST_LINE_M = 1e-7
 """Distance between the nearest points of two geoms below which their normal is undefined [m]."""
+OVERLAP_M = 0.002
+"""Standard deviation of the overlap of two objects [m]."""
+DEEP_M = 0.005
+"""Overlap at which the precision of a contact is halved [m]. Deeper overlaps are probably due to
+wrong shapes."""
+
+
+class Point(NamedTuple):
+    """A point of an object, whose motion changes a gap by share * normal @ motion."""
+
+    object: int
+    body: int
+    position: Float[np.ndarray, " 3"]
+    """In the world [m]."""
+    share: float
+
+
+class Gap(NamedTuple):
+    """Signed distance along a normal, which must be at least zero."""
+
+    value: float
+    """[m]"""
+    deviation: float
+    """Standard deviation of a negative value [m]."""
+    normal: Float[np.ndarray, " 3"]
+    points: tuple[Point, ...]
 
 
 class ContactGaps(NamedTuple):
-    """Linearized gaps between objects; gap + jacobian @ change must be at least zero."""
+    """Linearized gaps; gap + jacobian @ change must be at least zero."""
 
     gap: Float[np.ndarray, " n"]
     """Signed distance [m]; negative is penetration depth."""
@@ -40,6 +67,35 @@ class ContactGaps(NamedTuple):
     """Derivatives of the gaps with respect to all unknowns and stretches. Derivatives with respect
     to sizes and stretches are set to zero: otherwise, an object that is too large for its container
     would shrink."""
+    precision: Float[np.ndarray, " n"]
+    """Precision of a negative gap [1/m^2]."""
+
+    @classmethod
+    def of(
+        cls,
+        gaps: Sequence[Gap],
+        unknowns: Unknowns,
+        now: Placement,
+        neighbors: Sequence[Placement],
+    ) -> "ContactGaps":
+        """Linearize gaps in a placement.
+
+        Args:
+            gaps: the gaps.
+            unknowns: the unknowns.
+            now: the placement.
+            neighbors: the placements of `Unknowns.neighbors`.
+        """
+        jacobian = np.zeros((len(gaps), unknowns.size_with_stretches))
+        for row, gap in zip(jacobian, gaps, strict=True):
+            for k, body, position, share in gap.points:
+                local = now.local(body, position[None])
+                for u in unknowns.columns_of(k):
+                    if not unknowns.is_size(u):
+                        moved = neighbors[u].world(body, local) - now.world(body, local)
+                        row[u] += share * (moved[0] @ gap.normal) / STEP
+        precision = [1 / gap.deviation**2 for gap in gaps]
+        return cls(np.array([gap.value for gap in gaps]), jacobian, np.array(precision))
 
 
 @dataclass(frozen=True)
@@ -126,7 +182,6 @@ class SceneGeoms:
 
         Pairs are indices into `geom`.
 
-
         Args:
             counts: mask of the pairs of objects whose contacts are used.
         """
@@ -139,47 +194,39 @@ class SceneGeoms:
         return np.stack([first[rows], second[rows]], axis=1)
 
 
-def contacts(
-    colliders: SceneGeoms, unknowns: Unknowns, now: Placement, neighbors: list[Placement]
-) -> ContactGaps:
-    """Return the linearized gaps of the contacts in a placement.
+def contacts(colliders: SceneGeoms, unknowns: Unknowns, now: Placement) -> Iterator[Gap]:
+    """Yield the smallest gaps between each pair of objects in a placement.
 
-    Contacts with steep normals are omitted, see `STEEPEST`.
-
+    Gaps with steep normals are omitted, see `STEEPEST`.
 
     Args:
         colliders: the scene's collision geoms.
         unknowns: the unknowns.
         now: the placement.
-        neighbors: the placements of `Unknowns.neighbors`.
     """
     colliders.place(now)
-    found: dict[tuple[int, int], list[tuple[float, tuple[int, int], np.ndarray]]] = {}
+    found: dict[tuple[int, int], list[Gap]] = {}
     for a, b in colliders.near(_counts(unknowns)).tolist():
         ends = np.zeros(6)
         geoms = int(colliders.geom[a]), int(colliders.geom[b])
         gap = geom_distance(colliders.model, colliders.data, *geoms, REACH_M, ends)
         line = ends[3:] - ends[:3]
         length = float(np.linalg.norm(line))
-        if gap < REACH_M and length > LEAST_LINE_M and abs(line[2]) < STEEPEST * length:
-            pair = int(colliders.owner[a]), int(colliders.owner[b])
-            bodies = int(colliders.body[a]), int(colliders.body[b])
-            found.setdefault(pair, []).append((gap, bodies, ends.reshape(2, 3)))
-    nearest = [
-        (pair, *entry)
-        for pair, entries in found.items()
-        for entry in sorted(entries, key=lambda entry: entry[0])[:MOST_CONTACTS]
-    ]
-    jacobian = np.zeros((len(nearest), unknowns.size_with_stretches))
-    for row, (pair, gap, bodies, ends) in zip(jacobian, nearest, strict=True):
-        normal = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        for k, body, point, sign in zip(pair, bodies, ends, (-1.0, 1.0), strict=True):
-            local = now.local(body, point[None])
-            for u in unknowns.columns_of(k):
-                if not unknowns.is_size(u):
-                    moved = (neighbors[u].world(body, local) - now.world(body, local))[0] / STEP
-                    row[u] += sign * (moved @ normal) * np.sign(gap)
-    return ContactGaps(np.array([gap for _, gap, _, _ in nearest]), jacobian)
+        if gap >= REACH_M or length <= LEAST_LINE_M or abs(line[2]) >= STEEPEST * length:
+            continue
+        pair = int(colliders.owner[a]), int(colliders.owner[b])
+        points = tuple(
+            Point(k, int(colliders.body[g]), end, share)
+            for k, g, end, share in zip(pair, (a, b), ends.reshape(2, 3), (-1.0, 1.0), strict=True)
+        )
+        # The two end points are swapped for overlapping geoms.
+        normal, deviation = (
+            line / length * np.sign(gap),
+            OVERLAP_M * math.hypot(1, min(gap, 0.0) / DEEP_M),
+        )
+        found.setdefault(pair, []).append(Gap(gap, deviation, normal, points))
+    for gaps in found.values():
+        yield from sorted(gaps, key=lambda gap: gap.value)[:MOST_CONTACTS]
 
 
 def _counts(unknowns: Unknowns) -> Bool[np.ndarray, "object object"]:

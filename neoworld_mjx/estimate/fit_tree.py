@@ -29,7 +29,6 @@ from scipy.sparse import csr_matrix
 from ..evidence.known_camera import KnownCamera
 from ..measure import SidesShown
 from ..spec import Box3D, SceneTree, TreeNode
-from ..spec.tree import Relation
 from .fit_data import CAMERA
 from .fit_problem import FitProblem, fit_problem, outline_agreements, outline_residuals
 from .priors import is_slab
@@ -38,11 +37,6 @@ from .tree_checks import agreement, check_objects
 
 NOTED_M, NOTED_SIZE = 0.10, 0.10
 """Changes of position [m] and size (relative) above which a note reports them."""
-MIN_GAIN = 2 * math.log(31)
-"""Minimum decrease of the sum of squared residuals at which another support is used.
-
-It is twice the log of the prior odds of the parsed support. The odds are 31:1 by Laplace's rule of
-succession: of 30 objects in five rendered pictures, none had a wrong support."""
 
 
 @dataclass(frozen=True)
@@ -65,28 +59,6 @@ class BoxChange:
 
 
 @dataclass(frozen=True)
-class OtherSupport:
-    """New support of an object, which replaces the parsed support."""
-
-    before: str
-    """Parsed relation and parent."""
-    parent: str
-    relation: Relation
-    z: float
-    """Height of the object's lowest point [m]."""
-    gain: float
-    """Decrease of the sum of squared residuals of the object's fit."""
-
-    def phrase(self) -> str:
-        """Return the reason for the change as a phrase."""
-        return (
-            f"{self.before}, it would penetrate another object or rest on nothing; "
-            f"{self.relation} {self.parent}, the sum of squared residuals of its fit is lower by "
-            f"{self.gain:.0f}, and at least {MIN_GAIN:.0f} is required"
-        )
-
-
-@dataclass(frozen=True)
 class FitReport:
     """Outcome of a fit."""
 
@@ -102,8 +74,6 @@ class FitReport:
     height_m: float = 0.0
     """Change of the camera's height [m]."""
     objects: dict[str, BoxChange] = field(default_factory=dict)
-    supports: dict[str, OtherSupport] = field(default_factory=dict)
-    """New supports of the objects whose parsed support is infeasible."""
 
     def notes(self) -> Iterator[tuple[str, str]]:
         """Yield a note, as a title and a text, if the fit was not applied.
@@ -125,19 +95,11 @@ class FitReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON data with numbers rounded to four decimals."""
-        groups = {"objects": self.objects, "carriers": self.supports}
-        return {
-            **{
-                k: _json_value(v) for k, v in vars(self).items() if k not in ("objects", "supports")
-            },
-            **{
-                group: {
-                    name: {key: _json_value(value) for key, value in vars(change).items()}
-                    for name, change in changes.items()
-                }
-                for group, changes in groups.items()
-            },
+        objects = {
+            name: {key: _json_value(value) for key, value in vars(change).items()}
+            for name, change in self.objects.items()
         }
+        return {k: _json_value(v) for k, v in vars(self).items()} | {"objects": objects}
 
 
 def _json_value(value: Any) -> Any:

@@ -297,11 +297,6 @@ def box_evidence(
     return LinearEvidence(jacobian / unit, residual, robust / deviation**2)
 
 
-OVERLAP_M = 0.002
-"""Standard deviation of the overlap of two objects [m]."""
-DEEP_M = 0.005
-"""Overlap at which the weight of a contact is halved [m]. Deeper overlaps are probably due to wrong
-shapes."""
 GIVEN = 1e18
 """Precision of an unknown whose value is given."""
 ACTIVE_SETS = 10
@@ -347,7 +342,7 @@ class NormalEquations:
         self._gradient = -prior[:, : unknowns.size] @ (x if mean is None else x - mean)
         self._blocks: dict[Source, dict[int, _Block]] = {"contour": {}, "depth": {}}
         self._boxes: set[int] = set()
-        self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))))
+        self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))), np.zeros(0))
 
     def add_box(self, k: int, evidence: LinearEvidence) -> None:
         """Add the evidence of an object's 2D box."""
@@ -442,8 +437,7 @@ class NormalEquations:
     def _separated(self, precision: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the solution with a penalty on every gap that would otherwise be negative."""
         step = np.linalg.solve(precision, gradient)
-        gap, jacobian = self._contacts
-        weight = 1 / (OVERLAP_M**2 * (1 + (np.minimum(gap, 0.0) / DEEP_M) ** 2))
+        gap, jacobian, weight = self._contacts
         violated = np.zeros(len(gap), bool)
         for _ in range(ACTIVE_SETS):
             more = (gap + jacobian @ step < 0) & ~violated

@@ -16,7 +16,6 @@ from ..run_folder import RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
 from .step_context import (
     ALIGNED,
-    ANNOTATION,
     CHECK,
     COMPOSED,
     DEPTH,
@@ -70,9 +69,7 @@ def compose_scene(context: StepContext) -> None:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            # The fit keeps supports that a person chose.
-            chosen = edited or (run.path / ANNOTATION).is_file()
-            evidence = _evidence(run, tree, supports=chosen)
+            evidence = _evidence(run, tree)
             programs = None
             if options.align.enabled and options.align.dimensions:
                 programs = editable_programs(run, tree, objects, config)
@@ -104,7 +101,7 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def _evidence(run: RunFolder, tree: SceneTree, *, supports: bool) -> "Evidence":
+def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
     from .given_evidence import kept_evidence
@@ -120,7 +117,6 @@ def _evidence(run: RunFolder, tree: SceneTree, *, supports: bool) -> "Evidence":
         photo=_rgb(run) if photo else None,
         masks=masks,
         boxes=not (run.path / GIVEN).is_file(),
-        supports=supports,
     )
 
 
@@ -169,9 +165,6 @@ def _write_fit(run: RunFolder, placed: "LayoutEstimate", out: Path) -> None:
     _write_json(out / REFIT, placed.fit.to_json())
     for outcome, reason in placed.fit.notes():
         run.note("compose", outcome, reason)
-    for name, support in placed.fit.supports.items():
-        change = f"{name} {support.relation} {support.parent}, not {support.before}"
-        run.note("compose", change, support.phrase())
 
 
 def _write_alignment(

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from ..compose.compose import Composed, compose
-from ..compose.on_supports import in_contact
+from ..compose.on_supports import put_down
+from ..compose.resting_pose import with_aligned_joints_held
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
 from ..estimate.align import align
@@ -39,16 +40,16 @@ class LayoutEstimate:
     composed: Composed
     """The scene before the alignment."""
     scene: SceneSpec
-    """The aligned scene, with its objects in contact with their supports."""
+    """The aligned scene, with its objects on their supports."""
     fit: FitReport | None = None
     """Report of the fit; None if the tree was not fitted."""
     alignment: Alignment | None = None
-    """The alignment, before objects were moved into contact; None without one."""
+    """The alignment, before its objects were put down; None without one."""
     freed: FreedScene | None = None
     """Objects whose programs got other dimensions; None unless `compose.align.dimensions` is
     set."""
     notes: tuple[str, ...] = ()
-    """A note for each object that was moved into contact after the alignment."""
+    """A note for each joint whose friction was raised after the alignment."""
     seconds: float = 0.0
     """Wall time [s]."""
 
@@ -86,9 +87,7 @@ def place(
     fit = None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
-        tree, fit = refit_tree(
-            tree, objects, visible, change_supports=not evidence.supports, known=known
-        )
+        tree, fit = refit_tree(tree, objects, visible, known=known)
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -113,7 +112,10 @@ def place(
             realign,
         )
         composed, alignment = build(freed.specs), freed.alignment
-    scene, notes = in_contact(alignment.scene, options, composed=composed.scene)
+    aligned, notes = alignment.scene, ()
+    if options.hold_joints:
+        aligned, notes = with_aligned_joints_held(aligned)
+    scene = put_down(aligned, options.gap_m)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
 

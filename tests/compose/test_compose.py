@@ -366,25 +366,3 @@ def test_an_attached_object_is_fixed_and_the_scene_is_stable():
     assert result.scene.object("frame").fixed_base
     assert result.notes == ("frame: composition fixed it to wall, because it is attached",)
     assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
-
-
-@pytest.mark.parametrize(("y", "moves"), [(0.0, False), (0.39, False), (0.5, True), (2.0, True)])
-def test_an_object_beside_its_support_is_put_back_onto_it(y, moves):
-    tree = SceneTree(
-        camera=CAMERA,
-        nodes=(
-            ground().model_copy(
-                update={"box3d": Box3D(position=(1, 0, -0.04), size=(0.6, 0.8, 0.04), yaw=0)}
-            ),
-            node("cup", scenes.cup(), (1.0, y, 0)),
-        ),
-    )
-    result = compose(tree, {"table": scenes.table(), "cup": scenes.cup()})
-    place = world_poses(result.scene)["cup"].pos
-    low, high = bounds(scenes.cup())
-    edge = 0.4 - (high - low)[:2].min() / 2
-    middle = place[1] + (low + high)[1] / 2
-    assert middle == pytest.approx(edge if moves else y, abs=1e-6)
-    assert any("back onto table" in note for note in result.notes) is moves
-    if moves:
-        assert unstable_objects(result.scene, scene_measure(result.scene)) == ()

@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
-from neoworld_mjx.estimate.contacts import SceneGeoms, contacts
+from neoworld_mjx.estimate.contacts import ContactGaps, SceneGeoms, contacts
 from neoworld_mjx.physics.colliders import geom_distance, object_depths, object_of_geom, start_state
 from neoworld_mjx.spec import Mesh, bounds
 from tests.estimate import desk
@@ -26,7 +26,8 @@ def found(scene, x=None):
     unknowns = desk.unknowns_of(scene)
     x = np.zeros(unknowns.size) if x is None else x
     now = unknowns.place(x[None])[0]
-    return unknowns, contacts(SceneGeoms.of(scene), unknowns, now, unknowns.neighbors(x))
+    gaps = list(contacts(SceneGeoms.of(scene), unknowns, now))
+    return unknowns, ContactGaps.of(gaps, unknowns, now, unknowns.neighbors(x))
 
 
 @pytest.mark.parametrize("gap", [-0.004, 0.006])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.on_supports import in_contact
-from neoworld_mjx.config import AlignOptions, ComposeOptions
+from neoworld_mjx.compose.resting_pose import with_aligned_joints_held
+from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
 from neoworld_mjx.estimate.normal_equations import image_jacobian
 from neoworld_mjx.estimate.open_joints import LEAST_OPENING
@@ -196,7 +196,7 @@ def test_a_joint_is_held_at_its_new_opening():
         item = type(known).model_validate(fields)
         items = tuple(item if o.name == item.name else o for o in scene.objects)
         aligned = scene.model_copy(update={"objects": items})
-        held, notes = in_contact(aligned, ComposeOptions(), composed=scene)
+        held, notes = with_aligned_joints_held(aligned)
         friction = held.object("cabinet").spec.joints[0].friction
         assert (friction > 0) == raised
         assert any("dry friction" in note for note in notes) == raised

@@ -387,24 +387,19 @@ def test_only_a_carrier_of_four_times_the_area_is_a_support(below, floor):
     assert tree.node("cube").parent == "slab"
 
 
-def test_the_alignment_gets_what_was_measured_and_contact_the_composed_scene(monkeypatch):
+def test_the_alignment_gets_what_was_measured(monkeypatch):
     got = {}
 
     def aligned(scene, photo, options, measured=(), evidence=None):
         got["measured"] = measured
         return Alignment(scene)
 
-    def contact(scene, options, *, composed=None):
-        got["composed"] = composed
-        return scene, ()
-
     monkeypatch.setattr(place_module, "align", aligned)
-    monkeypatch.setattr(place_module, "in_contact", contact)
     meshes = mesh_tree(carried(0.1), CAMERA)
     tree = meshes.tree.model_copy(update={"camera_measured": ("pitch",)})
     photo = np.zeros((CAMERA.height_px, CAMERA.width, 3), np.uint8)
-    result = place_module.place(tree, meshes.objects, place_module.Evidence(photo, boxes=False))
-    assert got == {"measured": ("pitch",), "composed": result.composed.scene}
+    place_module.place(tree, meshes.objects, place_module.Evidence(photo, boxes=False))
+    assert got == {"measured": ("pitch",)}
 
 
 def boxes(**extents_at):
