@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from .refinement import algorithm, rewards
     from .refinement.algorithm import Problem as Problem
     from .refinement.cem import CEM as CEM
-    from .refinement.cem import CEMParams as CEMParams
     from .refinement.cem import CEMState as CEMState
     from .refinement.rewards import Term as Term
     from .refinement.scene_refinement import refine as refine
@@ -42,7 +41,6 @@ share_gpu_memory()  # Must precede the initialization of JAX.
 
 _LOCATIONS = {
     "CEM": "refinement.cem",
-    "CEMParams": "refinement.cem",
     "CEMState": "refinement.cem",
     "DepthImage": "evidence.depth_image",
     "Evidence": "evidence.evidence",
@@ -74,7 +72,6 @@ _MODULES = {
 
 __all__ = [
     "CEM",
-    "CEMParams",
     "CEMState",
     "DepthImage",
     "Evidence",

@@ -196,7 +196,7 @@ def test_the_readme_example_runs(example_run, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert printed.startswith("Result('out': ")
     assert "objects: table, saucer, cup, spoon" in printed
-    assert np.isfinite(names["again"].history["absolute"].max())
+    assert np.isfinite(names["again"].history["reward"].max())
 
 
 def test_the_quickstart_notebook_runs_on_an_existing_run(example_run, photo, tmp_path):

@@ -16,7 +16,7 @@ RECIPES = dict(
 )
 BLOCK = re.compile(r'```(?:python|yaml) title="([\w.]+)"\n(.*?)```', re.S)
 SEARCH = {
-    "cem": {"population": 8, "iterations": 2, "patience": 9, "hold_resting": False},
+    "cem": {"population": 8, "iterations": 2, "stop_gain": 0, "hold_resting": False},
     "settle": {"enabled": False},
     "rollout": {"duration_s": 0.2, "engine": "native"},
     "check_duration_s": 0.1,

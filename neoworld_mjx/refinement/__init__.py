@@ -1,6 +1,6 @@
 """Step 5: CEM-based scene refinement (paper Section 3.3, Algorithm 1)."""
 
-from .cem import CEM, CEMParams, CEMState, open_cem
+from .cem import CEM, CEMState, open_cem
 from .optimizer import OPTIMIZERS, Optimizer, from_evosax
 from .rewards import Term
 from .scene_refinement import Refined, refine
@@ -8,7 +8,6 @@ from .scene_refinement import Refined, refine
 __all__ = [
     "CEM",
     "OPTIMIZERS",
-    "CEMParams",
     "CEMState",
     "Optimizer",
     "Refined",

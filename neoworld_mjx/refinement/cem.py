@@ -1,7 +1,7 @@
 """The Cross-Entropy Method over layouts (paper Algorithm 1), as init / ask / tell.
 
-The elite ratio and `zero_candidate` are static. All other hyperparameters are traced, and so is the
-random key, so `jax.vmap` maps over hyperparameters and seeds.
+The elite ratio is static. The initial standard deviations are traced, and so is the random key, so
+`jax.vmap` maps over deviations and seeds.
 """
 
 import equinox as eqx
@@ -19,17 +19,6 @@ PLATE_THICKNESS = 0.3
 """A box is a plate if its thickness is less than this fraction of its second-shortest side."""
 
 
-class CEMParams(eqx.Module):
-    """Traced hyperparameters of CEM."""
-
-    sigma: Layout
-    """Initial standard deviations, with a population axis of length 1."""
-    floor: Float[Array, ""]
-    """Smallest standard deviation, as a fraction of the initial standard deviation."""
-    smoothing: Float[Array, ""]
-    """Weight of the old mean and standard deviation in an update; Algorithm 1 uses 0."""
-
-
 class CEMState(eqx.Module):
     """A diagonal Gaussian over (dx, dy, dyaw, log s) of every object.
 
@@ -43,26 +32,25 @@ class CEMState(eqx.Module):
 class CEM(eqx.Module):
     """The sampling and fitting steps of Algorithm 1; implements `optimizer.Optimizer`."""
 
-    params: CEMParams
+    sigma: Layout
+    """Initial standard deviations, with a population axis of length 1."""
+    widest: Float[Array, ""]
+    """Largest multiple of `sigma` to which the deviations of x and y of an object grow while it
+    rests in no candidate. At 1, it does not matter what rests, as in Algorithm 1."""
     elite_ratio: float = eqx.field(static=True)
     """Fraction rho of the candidates that are elites: K = rho N."""
-    zero_candidate: bool = eqx.field(static=True, default=True)
-    """If True, the first candidate is the mean itself."""
 
     def init(self, mean: Layout | None = None) -> CEMState:
         """Return the initial state. If `mean` is None, the mean is the composed scene."""
-        zero = on_device(jax.tree.map(lambda s: np.zeros(s.shape), self.params.sigma))
-        return CEMState(zero if mean is None else mean, self.params.sigma)
+        zero = on_device(jax.tree.map(lambda s: np.zeros(s.shape), self.sigma))
+        return CEMState(zero if mean is None else mean, self.sigma)
 
     def ask(self, key: Key[Array, ""], state: CEMState, population: int) -> Layout:
         """Sample a population; `key` must not be used again.
 
         Objects whose standard deviations are zero, such as environment supports, do not move.
         """
-        samples = draw(key, state.mean, state.std, population)
-        if not self.zero_candidate:
-            return samples
-        return jax.tree.map(lambda leaf, mean: leaf.at[0].set(mean[0]), samples, state.mean)
+        return draw(key, state.mean, state.std, population)
 
     def tell(
         self,
@@ -71,10 +59,12 @@ class CEM(eqx.Module):
         reward: Float[AnyArray, " pop"],
         *,
         key: Key[Array, ""] | None = None,
-        absolute: Float[AnyArray, " pop"] | None = None,
-        credit: Float[AnyArray, "pop object"] | None = None,
+        rests: Bool[AnyArray, "pop object"] | None = None,
     ) -> CEMState:
-        """Fit the Gaussian to the elites, the K candidates of highest reward.
+        """Fit the Gaussian of each object to its elites.
+
+        They are the K candidates of highest reward among those in which the object rests. Without
+        elites, the Gaussian of an object keeps its mean and widens.
 
         Args:
             state: previous state.
@@ -82,39 +72,32 @@ class CEM(eqx.Module):
             reward: reward that ranks the candidates. Candidates whose reward is -inf or NaN are
                 never elites, so there may be fewer than K elites.
             key: unused.
-            absolute: unused.
-            credit: reward of each object. If given, the mean and standard deviation of an object
-                are fitted to the K candidates in which this object has its highest finite credit.
-                They stay unchanged if no credit of the object is finite.
+            rests: mask of the objects that rest in each candidate. If None, all do.
         """
-        del key, absolute
-        elites, count = elite_count(self.elite_ratio, len(reward)), layouts.yaw.shape[1]
-        ranks = jnp.repeat(reward[:, None], count, 1) if credit is None else credit
-        rows, weights = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)
-        total = jnp.maximum(jnp.sum(weights, axis=0), 1.0)
-        is_fitted = jnp.sum(weights, axis=0) > 0
+        del key
+        count, elites = layouts.yaw.shape[1], elite_count(self.elite_ratio, len(reward))
+        counts = jnp.ones((len(reward), count), bool) if rests is None else rests
+        ranks = jnp.where(counts | (self.widest <= 1), reward[:, None], -jnp.inf)
+        rows, weight = jax.vmap(lambda x: elite_rows(x, elites), 1, 1)(ranks)  # [elite, object]
+        total = jnp.sum(weight, axis=0)
 
-        def fit(
-            leaf: Float[Array, "pop object ..."], old: Array, old_std: Array, sigma: Array
-        ) -> tuple[Array, Array]:
-            chosen = leaf[rows, jnp.arange(count)]
-            spread = (1,) * (leaf.ndim - 2)
-            weight, fitted_here = (
-                (weights / total).reshape(-1, count, *spread),
-                is_fitted.reshape(-1, *spread),
-            )
-            mean = jnp.sum(chosen * weight, axis=0, keepdims=True)
-            std = jnp.sqrt(jnp.sum((chosen - mean) ** 2 * weight, axis=0, keepdims=True))
-            smoothing = self.params.smoothing
-            mean = smoothing * old + (1 - smoothing) * mean
-            std = jnp.maximum(
-                smoothing * old_std + (1 - smoothing) * std, self.params.floor * sigma
-            )
-            return jnp.where(fitted_here, mean, old), jnp.where(fitted_here, std, old_std)
+        def mean(chosen: Array) -> Array:
+            """Return the mean over the elites of each object; chosen is [elite, object, ...]."""
+            spread = (..., *(None,) * (chosen.ndim - 2))
+            return jnp.sum(chosen * weight[spread], axis=0) / jnp.maximum(total, 1.0)[spread]
 
-        trees = (layouts, state.mean, state.std, self.params.sigma)
-        fitted = [fit(*leaves) for leaves in zip(*(jax.tree.leaves(t) for t in trees), strict=True)]
-        return CEMState(Layout(*(mean for mean, _ in fitted)), Layout(*(std for _, std in fitted)))
+        def fit(leaf: Array, old: Array, widened: Array) -> tuple[Array, Array]:
+            chosen, fitted = leaf[rows, jnp.arange(count)], total > 0
+            fitted = fitted.reshape(-1, *(1,) * (leaf.ndim - 2))
+            center = mean(chosen)
+            spread = jnp.sqrt(mean((chosen - center) ** 2))
+            return jnp.where(fitted, center, old), jnp.where(fitted, spread, widened)
+
+        wide = jnp.minimum(2 * state.std.xy, self.widest * self.sigma.xy)
+        widened = Layout(jnp.maximum(state.std.xy, wide), state.std.yaw, state.std.log_scale)
+        trees = (jax.tree.leaves(t) for t in (layouts, state.mean, widened))
+        fitted = [fit(*leaves) for leaves in zip(*trees, strict=True)]
+        return CEMState(Layout(*(m for m, _ in fitted)), Layout(*(s for _, s in fitted)))
 
 
 def draw(key: Key[Array, ""], mean: Layout, std: Layout, population: int) -> Layout:
@@ -176,7 +159,5 @@ def _fixed_axes(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:
 
 def open_cem(scene: SceneArrays, options: CEMOptions) -> CEM:
     """Build CEM for a scene, with the hyperparameters that the options give."""
-    sigma = initial_sigma(scene, options)
-    floor, smoothing = on_device((options.sigma_floor, options.smoothing))
-    params = CEMParams(sigma, floor, smoothing)
-    return CEM(params, options.elite_ratio, options.zero_candidate)
+    widest = on_device(np.float32(options.widest))
+    return CEM(initial_sigma(scene, options), widest, options.elite_ratio)

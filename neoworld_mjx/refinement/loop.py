@@ -1,104 +1,59 @@
-"""The loop of Algorithm 1.
+"""The loop of Algorithm 1, with an engine, a clock, reports, and scores by a model.
 
-The host measures time, reports progress, settles and rolls out candidates, and requests scores from
-a model. The pure functions of `algorithm` and `objective` do everything else.
+The pure functions of `algorithm` propose, score and update; `evaluation` places, settles and
+simulates.
 """
 
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from ..config import RefineOptions
 from ..physics.engine import Engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
-from ..physics.placed import Placed
-from ..physics.scene_arrays import on_device, pad_objects, pad_scene
+from ..physics.scene_arrays import on_device, pad_axis, pad_objects, pad_scene
 from ..progress import update as update_progress
-from .algorithm import Problem, SearchState, converged, init, open_problem, propose, update
-from .choosing import NOT_SAMPLED, Round
-from .evaluation import Evaluation
+from .algorithm import SearchState, converged, init, open_problem, propose, update
+from .evaluation import CLOCKS, Evaluation, Round, timed
 from .finishing import Finished, compile_for_search, finish, with_resting_fixed
-from .objective import (
-    Scores,
-    has_builtin_terms_only,
-    open_objective,
-    refuse_not_finite,
-    try_terms,
-)
 from .optimizer import Optimizer
+from .problem import open_terms
 from .rewards import Term
-from .scorer import ScoreSource, SemanticScorer
+from .scorer import SemanticScorer
+from .user_terms import refuse_not_finite, try_terms
 
 PADDED_OPTIMIZERS = ("cem", "random")
 """Optimizers that accept a padded scene."""
-CLOCKS = ("propose", "settle", "rollout", "score", "wait")
-"""Steps of a search whose time is measured."""
-
-
-class TimeToValid(NamedTuple):
-    """When a search found its first valid candidate."""
-
-    iteration: int
-    """Iteration that contains the candidate, counted from 1; 0 is the initial layout."""
-    rollouts: int
-    """Number of candidates that were rolled out up to and including this iteration."""
 
 
 @dataclass
 class SearchResult:
-    """Progress and results of a search, before the final check of its winner."""
+    """Iterations of a search, before the final check of its winner."""
 
     evaluation: Evaluation
     """Evaluation of candidates in the scene that is searched.
 
     Some of its objects may be fixed; see `finishing.with_resting_fixed`.
     """
-    problem: Problem
-    state: SearchState
     initial: Finished
     """Final scene of the initial layout, with its final check."""
     accept_initial: bool
     """If True, the initial layout is the result if it passes the final check."""
-    began: float
-    """Start of the search, by `time.perf_counter`."""
     rounds: list[Round] = field(default_factory=list)
-    rollouts: int = 0
-    """Number of candidates that were rolled out."""
-    first_valid_s: float = float("nan")
-    """Time from the start of the search to the score of the first valid candidate [s]."""
-    first_valid: TimeToValid | None = None
-    """When the search found its first valid candidate; None if no candidate was valid."""
-    score_sources: list[np.ndarray] = field(default_factory=list)
-    """Source of each candidate's S_sem, by iteration; see `scorer.ScoreSource`."""
-    stuck: tuple[str, ...] = ()
-    """Names of objects that rested in no candidate, if the search ended for this reason."""
-    finished: bool = False
-    """True if the search has ended."""
+    """The iterations. With settling, the first one consists of the initial layout."""
+    state: SearchState | None = None
+    """State after the last iteration; None if there was none."""
 
     @property
-    def iterations_done(self) -> int:
-        """Number of iterations so far, not counting the initial layout."""
-        return len(self.rounds) - self.evaluation.options.settle.enabled
-
-    def add(self, round_: Round) -> None:
-        """Add an iteration."""
-        self.rounds.append(round_)
-        self.rollouts += len(round_.scores.valid)
-        if bool(np.any(round_.scores.valid)):
-            self.note_valid()
-
-    def note_valid(self) -> None:
-        """Record the last iteration as the first one with a valid candidate, if it is the first."""
-        if self.first_valid is None:
-            self.first_valid = TimeToValid(self.iterations_done, self.rollouts)
-            self.first_valid_s = time.perf_counter() - self.began
+    def rollouts(self) -> int:
+        """Number of candidates that were rolled out."""
+        return sum(len(round_.scores.valid) for round_ in self.rounds)
 
 
 @dataclass(frozen=True)
@@ -113,13 +68,11 @@ class Iteration:
     valid: int
     """Number of valid candidates."""
     best: float | None
-    """Largest finite absolute reward; None if no candidate has one."""
+    """Largest finite reward; None if no candidate has one."""
     mean: float | None
-    """Mean of the finite absolute rewards; None if there are none."""
-    merit: float | None
-    """Largest merit of a valid candidate; None if no candidate is valid."""
+    """Mean of the finite rewards; None if there are none."""
     terms: dict[str, float]
-    """Reward terms of the candidate with the best absolute reward; empty if `best` is None."""
+    """Reward terms of the candidate with the best reward; empty if `best` is None."""
 
 
 def search(
@@ -156,106 +109,103 @@ def search(
         on_iteration: called after each iteration; the search ends if it returns True.
 
     Raises:
-        ConfigError: two options contradict each other, or a reward term is invalid or not finite.
+        ConfigError: an option names something that does not exist, or a reward term is invalid or
+            not finite.
     """
-    clock = {} if clock is None else clock
-    clock |= dict.fromkeys(CLOCKS, 0.0) | clock
-    r = _open_search(
-        scene, o, engine, seed, start, terms, optimizer, scorer is None, clock, progress
-    )
-    if on_iteration is not None and r.rounds:
-        r.finished |= bool(on_iteration(summarize(0, r.rounds[0].scores)))
-    evaluation, problem = r.evaluation, r.problem
-    while not r.finished and r.iterations_done < o.cem.iterations:
-        began = time.perf_counter()
-        layouts = jax.device_get(propose(evaluation.arrays, problem, r.state, o.cem.population))
-        clock["propose"] += time.perf_counter() - began
-        placed = evaluation.place(layouts)
-        geometric = None if scorer is None else _submit(r, layouts, placed, scorer)
-        rollout = evaluation.roll_out(placed.poses)
-        s_sem = None
-        if scorer is not None and geometric is not None:
-            s_sem = _collect(r, geometric, scorer)
-        scores = evaluation.score(layouts, placed, rollout, s_sem)
-        r.state = evaluation.on_devices(
-            update, evaluation.arrays, problem, r.state, layouts, scores
-        )
-        name = f"iteration {r.iterations_done + 1}"
-        refuse_not_finite(problem.objective, scores, np.asarray(rollout.status), name)
-        r.add(evaluation.unpadded_round(layouts, placed.poses, scores))
-        if progress is not None:
-            progress(_line(r, scores))
-        r.finished = converged(problem, r.state)
-        stuck = np.flatnonzero(r.state.stuck)
-        if len(stuck) and not bool(r.state.any_valid):
-            r.finished, r.stuck = True, tuple(scene.names[k] for k in stuck)
-        if on_iteration is not None:
-            r.finished |= bool(on_iteration(summarize(r.iterations_done, scores)))
-        _update_progress(r)
-    clock["search"] = time.perf_counter() - r.began
-    return r
+    began, clock = time.perf_counter(), {} if clock is None else clock
+    clock |= dict.fromkeys(CLOCKS, 0.0) | clock | {"to_valid": float("nan")}
+    report = progress or (lambda line: None)
+    result = open_search(scene, o, engine, start, terms, optimizer, scorer is not None, clock)
+    report(_initial_line(scene, result.initial, o))
+    problem, state, finished = result.evaluation.problem, None, False
+
+    def add(number: int, round_: Round) -> bool:
+        """Add an iteration; return True if the search ends with it."""
+        result.rounds.append(round_)
+        if np.any(round_.scores.valid) and np.isnan(clock["to_valid"]):
+            clock["to_valid"] = time.perf_counter() - began
+        return on_iteration is not None and bool(on_iteration(summarize(number, round_)))
+
+    if o.settle.enabled:
+        finished = add(0, result.evaluation.initial_round(result.initial.scene))
+        finished |= result.initial.passed and result.accept_initial
+    for number in range(1, o.cem.iterations + 1):
+        if finished:
+            break
+        state = init(problem, seed) if state is None else state
+        result.state, round_ = state, _ = iterate(result.evaluation, state, number, scorer)
+        finished = add(number, round_) or converged(problem, state)
+        report(_line(number, o.cem.iterations, round_))
+        _update_progress(number, o.cem.iterations, result.rollouts, time.perf_counter() - began)
+    clock["search"] = time.perf_counter() - began
+    return result
 
 
-def _open_search(
+def iterate(
+    evaluation: Evaluation, state: SearchState, number: int, scorer: SemanticScorer | None = None
+) -> tuple[SearchState, Round]:
+    """Run one iteration of Algorithm 1, lines 3 to 12.
+
+    Args:
+        evaluation: places, simulates and scores candidates.
+        state: state of the search.
+        number: number of the iteration, counted from 1.
+        scorer: source of S_sem by a model, which scores while physics runs.
+    """
+    problem, s_sem, sources = evaluation.problem, None, None
+    layouts = jax.device_get(propose(problem, state, evaluation.options.cem.population))
+    placed = evaluation.place(layouts)
+    if scorer is not None:
+        before = evaluation.score_before_physics(layouts, placed)
+        candidates = evaluation.unpadded(layouts), evaluation.unpadded(placed.poses)
+        scorer.submit(before.reward, before.terms["s_sem"], *candidates)
+    rollout = evaluation.roll_out(placed.poses)
+    if scorer is not None:
+        with timed(evaluation.clock, "wait"):
+            s_sem, sources = scorer.collect()
+    scores = evaluation.score(layouts, placed, rollout, s_sem)
+    refuse_not_finite(problem.terms, scores.terms, rollout.status, f"iteration {number}")
+    state = jax.device_get(update(problem, state, layouts, scores))
+    return state, evaluation.round(layouts, placed.poses, scores, sources)
+
+
+def open_search(
     scene: SceneModel,
     o: RefineOptions,
     engine: Engine,
-    seed: int,
     start: Layout | None,
     terms: Sequence[Term],
     optimizer: Optimizer | None,
-    by_geometry: bool,
+    by_model: bool,
     clock: dict[str, float],
-    progress: Callable[[str], None] | None,
 ) -> SearchResult:
-    """Prepare a search. With settling, the initial layout is its first iteration.
+    """Settle and check the initial layout, and decide which objects the search moves.
 
-    With user-defined terms, another optimizer or scores by a model, every object moves, and a scene
-    that passes the final check is searched, too.
+    Objects that rest do not move, unless an object that carries them moves. Where the search starts
+    at the composed scene, they are fixed, so that rollouts are faster. With user-defined terms,
+    another optimizer or scores by a model, every object moves, and a scene that passes the final
+    check is searched, too.
     """
-    began = time.perf_counter()
-    objective = open_objective(o, terms=terms)
-    try_terms(scene, objective, o)
+    every = open_terms(o, terms)
+    try_terms(scene, every, o)
+    own = any(term.fn is not None for term in every)
     layout = Layout.zero(1, len(scene.names)) if start is None else start
     initial = finish(scene, layout, 0, o)
-    if progress is not None:
-        progress(_initial_line(scene, initial, o))
-    builtin_only = optimizer is None and by_geometry and has_builtin_terms_only(objective)
-    rests = initial.rests(o)
-    hold = o.cem.hold_resting and builtin_only
-    searched = scene
-    if hold and start is None and not initial.passed and rests.any():
+    as_given = optimizer is None and not by_model and not own
+    searched, rests = scene, initial.rests(o)
+    held = rests & (o.cem.hold_resting and as_given)
+    if start is None and held.any() and not initial.passed:
         fixed = compile_for_search(with_resting_fixed(scene.spec, initial, o), o)
         searched = dataclasses.replace(fixed, photo=scene.photo)
     padded = pad_scene(searched)
-    use_padded = objective.padded and optimizer is None and o.optimizer in PADDED_OPTIMIZERS
+    use_padded = not own and optimizer is None and o.optimizer in PADDED_OPTIMIZERS
     arrays = padded if use_padded else searched
     origin = on_device(pad_objects(layout, arrays.count))
-    problem = open_problem(arrays, o, origin, terms=terms, optimizer=optimizer)
-    evaluation = Evaluation(searched, arrays, padded, engine, o, problem.objective, clock)
-    state = init(problem, seed, _initial_factors(arrays.count, rests, hold))
-    r = SearchResult(evaluation, problem, state, initial, builtin_only, began)
-    if o.settle.enabled:
-        r.add(evaluation.score_initial(initial.scene, origin))
-        r.score_sources.append(np.array([ScoreSource.GEOMETRIC], np.int8))
-        r.finished = initial.passed and builtin_only
-        if initial.passed:
-            r.note_valid()
-    return r
-
-
-def _initial_factors(
-    count: int, rests: np.ndarray, hold_resting: bool
-) -> Float[np.ndarray, " object"]:
-    """Return the initial factor of each object's standard deviations.
-
-    The factor is 0 for objects that rest in the initial layout if `hold_resting` is True, and else
-    1.
-    """
-    factors = np.ones(count, np.float32)
-    if hold_resting:
-        factors[: len(rests)][rests] = 0.0
-    return factors
+    moves = np.asarray(arrays.optimised) & ~pad_axis(held, arrays.count)
+    moving = eqx.tree_at(lambda s: s.optimised, arrays, on_device(moves))
+    problem = open_problem(moving, o, origin, terms=terms, optimizer=optimizer)
+    evaluation = Evaluation(searched, arrays, padded, engine, o, problem, clock)
+    return SearchResult(evaluation, initial, as_given)
 
 
 def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str:
@@ -266,60 +216,35 @@ def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str
     return f"{len(failing)} of {int(moving.sum())} objects do not rest: {', '.join(failing)}"
 
 
-def _submit(r: SearchResult, layouts: Layout, placed: Placed, scorer: SemanticScorer) -> np.ndarray:
-    """Submit the candidates that score best before physics; return the geometric S_sem of all."""
-    evaluation = r.evaluation
-    before = evaluation.score_before_physics(layouts, placed)
-    geometric = np.asarray(before.terms["s_sem"])
-    candidates = evaluation.unpadded(layouts), evaluation.unpadded(placed.poses)
-    scorer.submit(len(r.rounds), np.asarray(before.reward), geometric, *candidates)
-    return geometric
-
-
-def _collect(r: SearchResult, geometric: np.ndarray, scorer: SemanticScorer) -> np.ndarray:
-    """Wait for scores by a model, and return S_sem of all candidates of an iteration."""
-    began = time.perf_counter()
-    scorer.collect(len(r.rounds))
-    r.evaluation.clock["wait"] += time.perf_counter() - began
-    values, sources = scorer.s_sem_of(len(r.rounds), geometric)
-    r.score_sources.append(sources)
-    return values
-
-
-def summarize(number: int, scores: Scores) -> Iteration:
-    """Summarize the scores of the iteration with this number."""
-    absolute, valid = np.asarray(scores.absolute, float), np.asarray(scores.valid)
-    finite = np.isfinite(absolute)
-    best = int(np.where(finite, absolute, -np.inf).argmax()) if finite.any() else None
+def summarize(number: int, round_: Round) -> Iteration:
+    """Summarize the iteration with this number."""
+    scores = round_.scores
+    finite = np.isfinite(scores.reward)
+    best = int(np.argmax(scores.reward)) if finite.any() else None
     return Iteration(
         number=number,
-        candidates=int(np.sum(np.asarray(scores.status) != NOT_SAMPLED)),
-        valid=int(np.sum(valid)),
-        best=None if best is None else float(absolute[best]),
-        mean=None if best is None else float(absolute[finite].mean()),
-        merit=float(np.asarray(scores.merit)[valid].max()) if valid.any() else None,
-        terms={}
-        if best is None
-        else {name: float(np.asarray(x)[best]) for name, x in scores.terms.items()},
+        candidates=len(scores.valid),
+        valid=int(np.sum(scores.valid)),
+        best=None if best is None else float(scores.reward[best]),
+        mean=None if best is None else float(np.mean(scores.reward[finite])),
+        terms={} if best is None else {n: float(x[best]) for n, x in scores.terms.items()},
     )
 
 
-def _line(r: SearchResult, scores: Scores) -> str:
-    best = float(np.asarray(scores.absolute).max())
+def _line(number: int, total: int, round_: Round) -> str:
+    scores = round_.scores
     return (
-        f"iteration {r.iterations_done}/{r.evaluation.options.cem.iterations}: best {best:.3f}, "
-        f"elites {float(r.state.elite_mean):.3f}, {float(np.mean(scores.valid)):.0%} valid"
+        f"iteration {number}/{total}: best {float(np.max(scores.reward)):.3f}, "
+        f"{float(np.mean(scores.valid)):.0%} valid"
     )
 
 
-def _update_progress(r: SearchResult) -> None:
+def _update_progress(done: int, total: int, rollouts: int, seconds: float) -> None:
     """Report the number of iterations, the candidates per second and the longest remaining time."""
-    seconds = time.perf_counter() - r.began
-    done, total = r.iterations_done, r.evaluation.options.cem.iterations
     update_progress(
         done=done,
         of=total,
         unit="iteration",
-        rate=r.rollouts / max(seconds, 1e-9),
-        left_s=seconds / max(done, 1) * (total - done),
+        rate=rollouts / max(seconds, 1e-9),
+        left_s=seconds / done * (total - done),
     )

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from ..config import CEMOptions
 from ..errors import ConfigError, EngineError, choices
@@ -20,7 +20,7 @@ from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays
 from .cem import draw, initial_sigma, open_cem
-from .objective import import_function
+from .user_terms import import_function
 
 
 @runtime_checkable
@@ -45,19 +45,17 @@ class Optimizer(Protocol):
         reward: Float[AnyArray, " pop"],
         *,
         key: Key[Array, ""],
-        absolute: Float[AnyArray, " pop"],
-        credit: Float[AnyArray, "pop object"] | None,
+        rests: Bool[AnyArray, "pop object"],
     ) -> Any:
         """Return the state updated with an evaluated population.
 
         Args:
             state: previous state.
             layouts: the evaluated candidates.
-            reward: reward that ranks the candidates of this population; -inf for failed candidates.
+            reward: reward of the candidates; -inf for failed candidates. It is comparable between
+                populations, unless `refine.reward.normalisation` is `iteration`.
             key: key with which `ask` sampled the population.
-            absolute: reward that is comparable between populations.
-            credit: reward of each object in each candidate, -inf if the object does not rest. If
-                None, use `reward` for all objects.
+            rests: mask of the objects that rest in each candidate.
         """
         ...
 
@@ -118,20 +116,18 @@ class EvosaxOptimizer(eqx.Module):
         reward: Float[AnyArray, " pop"],
         *,
         key: Key[Array, ""],
-        absolute: Float[AnyArray, " pop"],
-        credit: Float[AnyArray, "pop object"] | None = None,
+        **_: Any,
     ) -> tuple[Layout, Any]:
-        """Return the state updated with the absolute rewards, which never saturate.
+        """Return the updated state.
 
         Failed candidates count as worse than all others. The key must be that of `ask`, which
         changes the state of evosax, too.
         """
-        del reward, credit
         (mean, inner), free = state, jnp.asarray(self.free)
         unit = (_flat(layouts) - _flat(mean))[:, free] / _flat(self.sigma)[:, free]
-        finite = jnp.isfinite(absolute)
-        worst = jnp.max(jnp.where(finite, -absolute, -jnp.inf))
-        loss = jnp.where(finite, -absolute, jnp.where(jnp.isfinite(worst), worst + 1.0, 0.0))
+        finite = jnp.isfinite(reward)
+        worst = jnp.max(jnp.where(finite, -reward, -jnp.inf))
+        loss = jnp.where(finite, -reward, jnp.where(jnp.isfinite(worst), worst + 1.0, 0.0))
         _, inner = self.strategy.ask(key, inner, self.params)
         next_key = jax.random.fold_in(key, 1)
         return mean, self.strategy.tell(next_key, unit, loss, inner, self.params)[0]
@@ -176,8 +172,7 @@ def strategy_class(name: str) -> Any:
         from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm
     except ImportError:
         raise EngineError(
-            "refine.optimizer: cma_es and evosax:STRATEGY need evosax: "
-            "uv sync --inexact --extra baselines"
+            "refine.optimizer: evosax:STRATEGY needs evosax: uv sync --inexact --extra baselines"
         ) from None
     known = {k: c for k, c in algorithms.items() if issubclass(c, DistributionBasedAlgorithm)}
     if name not in known:
@@ -198,7 +193,6 @@ def _flat(layout: Layout) -> Float[Array, "pop variable"]:
 
 OPTIMIZERS: dict[str, Callable[[SceneArrays, CEMOptions], Optimizer]] = {
     "cem": open_cem,
-    "cma_es": partial(from_evosax, "CMA_ES"),
     "random": _open_random,
 }
 """Factories of the built-in optimizers, by their names in `refine.optimizer`.
@@ -218,9 +212,7 @@ def optimizer_factory(name: str) -> Callable[[SceneArrays, CEMOptions], Optimize
         ConfigError: the optimizer does not exist.
         EngineError: evosax is needed, but not installed.
     """
-    package, _, strategy = (
-        "evosax:CMA_ES".partition(":") if name == "cma_es" else name.partition(":")
-    )
+    package, _, strategy = name.partition(":")
     if package == "evosax":
         return partial(from_evosax, strategy_class(strategy))
     return OPTIMIZERS.get(name) or import_function("refine.optimizer", name, OPTIMIZERS)

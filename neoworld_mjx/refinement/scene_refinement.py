@@ -1,15 +1,12 @@
 """Refinement of a composed scene: the search of Algorithm 1, and the final check of its winner."""
 
 import contextlib
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..config import RefineOptions
@@ -20,14 +17,16 @@ from ..physics.engine import Engine, on_cpu, open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..spec import SceneSpec, read_scene
-from .choosing import NOT_SAMPLED, Round, Winner, choose_winner, stack_padded
-from .evaluation import named_scores
+from .choosing import choose_winner
+from .evaluation import Round, timed
 from .finishing import compile_for_search
-from .loop import CLOCKS, Iteration, SearchResult, TimeToValid, search
-from .objective import Objective
+from .loop import Iteration, search
 from .optimizer import Optimizer
 from .rewards import Term
 from .scorer import ScoreSource, SemanticScorer
+
+NOT_SAMPLED = -1
+"""Status in the history of entries beyond the population of an iteration, which pad it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,36 +44,28 @@ class Refined:
     history: dict[str, np.ndarray]
     """Arrays of all candidates, with leading axes [iteration, pop].
 
-    The keys are `reward`, `absolute`, `merit`, `status`, `valid`, the name of each term, `xy`,
-    `yaw` and `log_scale`, and `s_sem_from` (a `ScoreSource`) if a model scored candidates. The
-    keys `object_names`, `term_names` and `term_weights` hold arrays without these axes.
+    The keys are `reward`, `status`, `valid`, the name of each term, `xy`, `yaw` and `log_scale`,
+    and `s_sem_from` (a `ScoreSource`) if a model scored candidates. The keys `object_names`,
+    `term_names` and `term_weights` hold arrays without these axes.
     """
     engine: str
-    iterations: int
     winner: tuple[int, int]
-    """(iteration, candidate); see `Winner.index`."""
+    """(iteration, candidate); see `Winner.candidate`."""
     finalists_tried: int
     """Number of candidates whose final scene was checked."""
-    mean_log_scale: float
-    """Mean log scale of the winner's optimized objects."""
-    mean_shift_m: float
-    """Mean distance of optimized objects from the composed layout, in the parents' frames [m]."""
-    mean_turn_deg: float
-    """Mean absolute yaw of optimized objects relative to the composed layout [deg]."""
     passed: bool
     """True if the winner passes the final check."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """Seconds spent on each step."""
-    fallbacks: tuple[str, ...] = ()
-    """Descriptions of the fallbacks of this and of earlier steps."""
-    kept: tuple[str, ...] = ()
+    kept: tuple[str, ...]
     """Names of the optimized objects that rested in the initial layout."""
-    scoring: dict[str, Any] = field(default_factory=dict)
+    mean_log_scale: float
+    """Mean log scale of the winner's optimized objects."""
+    seconds: dict[str, float]
+    """Seconds spent on each step, and up to the first valid candidate (`to_valid`, NaN if there is
+    none)."""
+    fallbacks: tuple[str, ...]
+    """Descriptions of the fallbacks of this step."""
+    scoring: dict[str, Any]
     """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
-    delivered: dict[str, float] = field(default_factory=dict)
-    """`absolute`, `merit` and the terms of `scene`; `history` contains those of the candidate."""
-    first_valid: TimeToValid | None = None
-    """When the search found its first valid candidate; None if no candidate was valid."""
 
     def __repr__(self) -> str:
         """Summarize the search and the final check in a few lines."""
@@ -85,109 +76,69 @@ class Refined:
             f"  {self.iterations} iterations, {self.rollouts} rollouts, "
             f"{t:.1f} s on {self.engine}; winner {self.winner}\n"
             f"  depth {m.max_depth_m * 1e3:.2f} mm (was {self.before.max_depth_m * 1e3:.2f} mm), "
-            f"moved {tilt}\n"
-            f"  mean shift {self.mean_shift_m * 1e3:.1f} mm, turn {self.mean_turn_deg:.1f} deg, "
-            f"log scale {self.mean_log_scale:+.3f})"
+            f"moved {tilt})"
         )
+
+    @property
+    def iterations(self) -> int:
+        """Number of iterations; with settling, the initial layout counts as the first one."""
+        return len(self.history["valid"])
 
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
         return int(np.sum(self.history["status"] != NOT_SAMPLED))
 
+    @property
+    def scores(self) -> dict[str, float]:
+        """`reward`, `valid` and the terms of the winner, by name; empty if nothing was rolled out.
 
-def outcome(
-    model: SceneModel,
-    result: SearchResult,
-    rounds: list[Round],
-    winner: Winner,
-    *,
-    engine: str,
-    clock: dict[str, float],
-    delivered: dict[str, float],
-    scorer: SemanticScorer | None = None,
-) -> Refined:
-    """Assemble the outcome of a refinement.
+        They are those of the candidate in its rollout. The final scene is settled again, with a
+        smaller time step, so it is close to the candidate, but not equal to it.
+        """
+        if self.winner[0] < 0:
+            return {}
+        names = ("reward", "valid", *map(str, self.history["term_names"]))
+        return {name: float(self.history[name][self.winner]) for name in names}
+
+
+def history_of(
+    rounds: Sequence[Round], terms: Sequence[Term], names: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Return the arrays of `Refined.history`.
 
     Args:
-        model: the compiled scene.
-        result: the search.
-        rounds: iterations of the search, including the scores that arrived late.
-        winner: the winner.
-        engine: name of the physics engine.
-        clock: seconds spent on each step.
-        delivered: scores of the final scene; see `Evaluation.score_final`.
-        scorer: source of S_sem by a model.
+        rounds: the iterations, which are padded to the largest population.
+        terms: the reward terms.
+        names: names of the objects.
     """
-    o = result.evaluation.options
-    moves = np.asarray(model.optimised)
-    count = len(model.names)
-    layout: Layout = jax.tree.map(lambda x: np.asarray(x)[:, :count], winner.layout)
-    logs = layout.log_scale[0][moves]
-    shift = np.linalg.norm(layout.xy[0][moves], axis=-1)
-    turn = np.degrees(np.abs(layout.yaw[0][moves]))
-    fallbacks = () if scorer is None else scorer.fallbacks
-    if result.stuck:
-        fallbacks += (
-            f"the search ended after {len(rounds)} iterations: in no candidate did "
-            f"{', '.join(result.stuck)} rest where the photograph shows it",
-        )
-    if not winner.passed:
-        failed = [c.phrase() for c in scene_checks(winner.measure, o) if not c.passed]
-        fallbacks += (
-            f"no candidate passed the final check in {winner.tried} tries; the closest one is "
-            f"used: {'; '.join(failed)}",
-        )
-    history = _history(model, rounds, result.problem.objective)
-    if scorer is not None:
-        history["s_sem_from"] = stack_padded(result.score_sources, 0)
-    rests = result.initial.rests(o)
-    return Refined(
-        scene=winner.scene,
-        measure=winner.measure,
-        before=winner.before,
-        layout=layout,
-        history=history,
-        engine=engine,
-        iterations=len(rounds),
-        winner=winner.index,
-        finalists_tried=winner.tried,
-        mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
-        mean_shift_m=float(shift.mean()) if len(shift) else 0.0,
-        mean_turn_deg=float(turn.mean()) if len(turn) else 0.0,
-        passed=winner.passed,
-        seconds=clock,
-        fallbacks=fallbacks,
-        kept=tuple(model.names[k] for k in np.flatnonzero(rests & moves)),
-        scoring={} if scorer is None else scorer.summary(),
-        delivered=delivered,
-        first_valid=result.first_valid,
-    )
 
+    def stacked(read: Callable[[Round], Any], fill: Any) -> np.ndarray:
+        rows = [np.asarray(read(round_)) for round_ in rounds]
+        pop = max(map(len, rows), default=0)
+        last = rows[0].shape[1:] if rows else ()
+        whole = np.full((len(rows), pop, *last), fill, rows[0].dtype if rows else None)
+        for row, values in zip(whole, rows, strict=True):
+            row[: len(values)] = values
+        return whole
 
-def _history(model: SceneModel, rounds: list[Round], objective: Objective) -> dict[str, np.ndarray]:
-    fill = {
-        "reward": -np.inf,
-        "absolute": -np.inf,
-        "merit": -np.inf,
-        "status": NOT_SAMPLED,
-        "valid": False,
-    }
     history = {
-        name: stack_padded([getattr(r.scores, name) for r in rounds], empty)
-        for name, empty in fill.items()
+        "reward": stacked(lambda r: r.scores.reward, -np.inf),
+        "status": stacked(lambda r: r.scores.status, NOT_SAMPLED),
+        "valid": stacked(lambda r: r.scores.valid, False),
+        **{t.name: stacked(lambda r, t=t: r.scores.terms[t.name], np.nan) for t in terms},
+        **{
+            part: stacked(lambda r, part=part: getattr(r.layouts, part), np.nan)
+            for part in ("xy", "yaw", "log_scale")
+        },
+        "object_names": np.array(names),
+        "term_names": np.array([term.name for term in terms]),
+        "term_weights": np.array([float(term.weight) for term in terms], np.float32),
     }
-    history |= {
-        term.name: stack_padded([r.scores.terms[term.name] for r in rounds], np.nan)
-        for term in objective.terms
-    }
-    history |= {
-        name: stack_padded([getattr(r.layouts, name) for r in rounds], np.nan)
-        for name in ("xy", "yaw", "log_scale")
-    }
-    history["object_names"] = np.array(model.names)
-    history["term_names"] = np.array([term.name for term in objective.terms])
-    history["term_weights"] = np.array([float(term.weight) for term in objective.terms], np.float32)
+    if any(round_.s_sem_from is not None for round_ in rounds):
+        geometric = lambda r: np.full(len(r.scores.valid), ScoreSource.GEOMETRIC, np.int8)
+        sources = lambda r: geometric(r) if r.s_sem_from is None else r.s_sem_from
+        history["s_sem_from"] = stacked(sources, ScoreSource.GEOMETRIC)
     return history
 
 
@@ -217,10 +168,9 @@ def refine(
     the result. Otherwise the search perturbs the composed scene. It ends after T iterations, or as
     soon as it has converged (see `algorithm.converged`).
 
-    The candidates are then ranked. Valid candidates come first and are ranked by merit (see
-    `Scores.merit`); all others are ranked by absolute reward. The winner is the first candidate in
-    this order that passes the final check. If none of the first `finalists` passes, the one that is
-    closest to passing is returned, and `Refined.passed` is False.
+    The candidates are then ranked: valid ones before all others, and both by reward. The winner is
+    the first candidate in this order that passes the final check. If none of the first `finalists`
+    passes, the one that is closest to passing is returned, and `Refined.passed` is False.
 
     Args:
         scene: the composed scene, compiled or not; or the path of a scene.json or of a run folder,
@@ -246,13 +196,12 @@ def refine(
         TypeError: the scene has another type.
     """
     o = options or RefineOptions()
-    clock: dict[str, float] = dict.fromkeys(("compile", *CLOCKS, "check"), 0.0)
+    clock: dict[str, float] = {}
     if engine is None or isinstance(engine, str):
         engine = _open_engine(engine or o.rollout.engine, o)
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
-        began = time.perf_counter()
-        model = open_scene(scene, o)
-        clock["compile"] = time.perf_counter() - began
+        with timed(clock, "compile"):
+            model = open_scene(scene, o)
         scorer = None
         if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
             scorer = SemanticScorer(model, photo, panel, o.semantic)
@@ -270,44 +219,44 @@ def refine(
                 progress=progress,
                 on_iteration=on_iteration,
             )
-            rounds = result.rounds
-            if scorer is not None:
-                scorer.collect(len(rounds))
-                rounds = [
-                    _with_late_scores(scorer, t, round_, sources, o.reward.w_sem)
-                    for t, (round_, sources) in enumerate(
-                        zip(rounds, result.score_sources, strict=True)
-                    )
-                ]
         finally:
             if scorer is not None:
                 scorer.close()
-        began = time.perf_counter()
-        winner = choose_winner(
-            model,
-            rounds,
-            o,
-            result.initial,
-            start,
-            result.evaluation.scene,
-            accept_initial=result.accept_initial,
+        with timed(clock, "check"):
+            winner = choose_winner(
+                model,
+                result.rounds,
+                o,
+                result.initial,
+                start,
+                result.evaluation.scene,
+                accept_initial=result.accept_initial,
+            )
+    moves = np.asarray(model.optimised)
+    logs = np.asarray(winner.layout.log_scale)[0, : len(moves)][moves]
+    fallbacks = () if scorer is None else scorer.fallbacks
+    if not winner.finished.passed:
+        failed = [c.phrase() for c in scene_checks(winner.finished.measure, o) if not c.passed]
+        fallbacks += (
+            f"no candidate passed the final check in {winner.tried} tries; the closest one is "
+            f"used: {'; '.join(failed)}",
         )
-        by_model = None
-        if scorer is not None and winner.index[0] >= 0:
-            t, k = winner.index
-            by_model = float(np.asarray(rounds[t].scores.terms["s_sem"])[k])
-        delivered = _delivered_scores(result, winner, by_model)
-        clock["check"] = time.perf_counter() - began
-        return outcome(
-            model,
-            result,
-            rounds,
-            winner,
-            engine=engine.name,
-            clock=clock | {"to_valid": result.first_valid_s},
-            delivered=delivered,
-            scorer=scorer,
-        )
+    return Refined(
+        scene=winner.finished.scene,
+        measure=winner.finished.measure,
+        before=result.initial.measure,
+        layout=jax.tree.map(lambda x: np.asarray(x)[:, : len(moves)], winner.layout),
+        history=history_of(result.rounds, result.evaluation.problem.terms, model.names),
+        engine=engine.name,
+        winner=winner.candidate,
+        finalists_tried=winner.tried,
+        passed=winner.finished.passed,
+        kept=tuple(model.names[k] for k in np.flatnonzero(result.initial.rests(o) & moves)),
+        mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
+        seconds=clock,
+        fallbacks=fallbacks,
+        scoring={} if scorer is None else scorer.summary(),
+    )
 
 
 def _open_engine(name: str, o: RefineOptions) -> Engine:
@@ -347,38 +296,3 @@ def read_composed(path: Path) -> SceneSpec:
     """
     composed = path / COMPOSED
     return read_scene(composed if composed.is_file() else path)
-
-
-def _delivered_scores(
-    result: SearchResult, winner: Winner, by_model: float | None
-) -> dict[str, float]:
-    """Return `absolute`, `merit` and the terms of the winner's final scene, by name."""
-    settles = result.evaluation.options.settle.enabled
-    if winner.index == (0, 0) and winner.passed and settles and by_model is None:
-        # The search has already scored the initial layout at its settled poses.
-        return named_scores(result.rounds[0].scores)
-    return result.evaluation.score_final(winner.scene, winner.layout, by_model)
-
-
-def _with_late_scores(
-    scorer: SemanticScorer, t: int, round_: Round, score_sources: np.ndarray, weight: float
-) -> Round:
-    """Add the scores of an iteration that arrived after its elites had been selected."""
-    s_sem = np.asarray(round_.scores.terms["s_sem"])
-    change = np.zeros(len(score_sources), np.float32)
-    for k in range(len(score_sources)):
-        late = scorer.known((t, k))
-        if late is not None:
-            change[k] = late - float(s_sem[k])
-            score_sources[k] = ScoreSource.SCORED
-    scores = eqx.tree_at(
-        lambda s: (s.terms["s_sem"], s.reward, s.absolute, s.merit),
-        round_.scores,
-        (
-            jnp.asarray(s_sem + change),
-            round_.scores.reward + weight * change,
-            round_.scores.absolute + weight * change,
-            round_.scores.merit + weight * change,
-        ),
-    )
-    return round_._replace(scores=scores)

@@ -1,11 +1,9 @@
 """S_sem by a model (Appendix B), which scores the best candidates while their rollouts run.
 
-    scorer.submit(t, reward, geometric, layouts, poses)  # returns at once
-    ...                                                  # run the rollout
-    scorer.collect(t)                                    # waits, at most `timeout_s`
-    s_sem, sources = scorer.s_sem_of(t, geometric)       # for every candidate
+    scorer.submit(reward, geometric, layouts, poses)  # returns at once
+    ...                                               # run the rollout
+    s_sem, sources = scorer.collect()                 # waits, at most `timeout_s`
 
-A score that arrives too late for its own iteration counts from the iteration in which it arrives.
 A candidate without a score has the geometric S_sem plus the mean difference between the model's
 scores and the geometric ones, so that scored and other candidates are comparable.
 
@@ -19,7 +17,7 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from enum import IntEnum
 from functools import cache
 from importlib import resources
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int8
@@ -34,8 +32,6 @@ from ..physics.model import SceneModel
 from ..render import render_plain
 from ..spec import SceneSpec
 
-CandidateId = tuple[int, int]
-"""(iteration, candidate)."""
 PICTURE_PX = 320
 """Width of the rendered image of a candidate [px]. Rendering competes with physics for the CPU."""
 GIVE_UP_AFTER = 5
@@ -131,17 +127,6 @@ class ScoreSource(IntEnum):
     """Scored by the model."""
 
 
-class Score(NamedTuple):
-    """Score of one candidate."""
-
-    value: float | None
-    """S_sem in [0, 1]; None if scoring failed."""
-    error: str
-    """Reason why scoring failed, or an empty string."""
-    counted: int
-    """Iteration from which the score counts; larger than that of its candidate if it was late."""
-
-
 class SemanticScorer:
     """Requests scores of candidates from a model, in threads.
 
@@ -175,10 +160,12 @@ class SemanticScorer:
         self.stopped: str | None = None
         """Reason why no more requests are sent; None while requests are sent."""
         self._model, self._photo, self._panel, self._options = model, photo, panel, options
-        self._scores: dict[CandidateId, Score] = {}
-        self._geometric: dict[CandidateId, float] = {}
-        """Geometric scores of the candidates that were submitted."""
-        self._pending: dict[CandidateId, Future[float]] = {}
+        self._geometric: Float[AnyArray, " pop"] = np.zeros(0)
+        self._pending: dict[int, Future[float]] = {}
+        """Scores of the last population, by candidate."""
+        self._differences: list[float] = []
+        """Score by the model minus the geometric score, of every scored candidate."""
+        self._submitted, self._errors = 0, list[str]()
         self._requests: list[Future[Any]] = []
         self._lock, self._failed_in_row, self._requested_at = threading.Lock(), 0, 0.0
         self._closed = False
@@ -188,7 +175,6 @@ class SemanticScorer:
 
     def submit(
         self,
-        iteration: int,
         reward: Float[AnyArray, " pop"],
         geometric: Float[AnyArray, " pop"],
         layouts: Layout,
@@ -197,85 +183,64 @@ class SemanticScorer:
         """Request scores of the `top` candidates of highest finite reward, and return at once.
 
         Args:
-            iteration: iteration of the candidates.
             reward: reward that ranks the candidates; equal ones keep the order of the population.
             geometric: geometric S_sem of the candidates.
             layouts: layouts of the population, on the host.
             poses: poses of the population, on the host.
         """
-        rewards = np.asarray(reward, float)
+        rewards, self._geometric = np.asarray(reward, float), np.asarray(geometric, float)
         best = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
-        for k in best[: self._options.top].tolist():
-            if np.isfinite(rewards[k]):
-                scene = self._model.apply(layouts, k, poses)
-                self._pending[iteration, k] = self._threads.submit(self._request_score, scene)
-                self._geometric[iteration, k] = float(geometric[k])
+        self._pending = {
+            k: self._threads.submit(self._request_score, self._model.apply(layouts, k, poses))
+            for k in best[: self._options.top].tolist()
+            if np.isfinite(rewards[k])
+        }
+        self._submitted += len(self._pending)
         self._requested_at = time.monotonic()
 
-    def collect(self, iteration: int) -> None:
-        """Wait for the scores of an iteration, and count all scores that have arrived.
+    def collect(self) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
+        """Return S_sem of the submitted population in [0, 1], and each candidate's `ScoreSource`.
 
-        The wait ends `timeout_s` after the request. It has no time limit if the provider is
-        offline, such as a tape or a person.
+        The wait for scores ends `timeout_s` after the request. It has no time limit if the provider
+        is offline, such as a tape or a person. A score that is late does not count.
         """
-        current = [future for key, future in self._pending.items() if key[0] == iteration]
         left = self._requested_at + self._options.timeout_s - time.monotonic()
-        wait(current, max(left, 0.0) if self._panel.provider.online else None)
-        for key in [key for key, future in self._pending.items() if future.done()]:
-            value, error = None, ""
+        wait(self._pending.values(), max(left, 0.0) if self._panel.provider.online else None)
+        known: dict[int, float] = {}
+        for k, future in self._pending.items():
+            if not future.done():
+                future.cancel()
+                self._errors.append(f"later than {self._options.timeout_s:g} s")
+                continue
             try:
-                value = self._pending.pop(key).result()
+                known[k] = future.result()
             except (NeoWorldError, ValueError, CancelledError) as failure:
-                error = str(failure) or type(failure).__name__
-            self._scores[key] = Score(value, error, iteration)
-
-    def known(self, identity: CandidateId) -> float | None:
-        """Return the model's score of a candidate; None if it is pending or has failed."""
-        score = self._scores.get(identity)
-        return None if score is None else score.value
-
-    def s_sem_of(
-        self, iteration: int, geometric: Float[AnyArray, " pop"]
-    ) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
-        """Return the S_sem of a population in [0, 1], and the `ScoreSource` of each candidate.
-
-        Args:
-            iteration: iteration of the population.
-            geometric: geometric S_sem of the population.
-        """
-        known = {key: value for key in self._geometric if (value := self.known(key)) is not None}
-        difference = sum(value - self._geometric[key] for key, value in known.items())
+                self._errors.append(str(failure) or type(failure).__name__)
+        self._differences += [value - float(self._geometric[k]) for k, value in known.items()]
         # The mean is shrunk as if there were one more candidate, with a difference of zero.
-        shifted = np.asarray(geometric, float) + difference / (len(known) + 1)
-        values = np.clip(shifted, 0.0, 1.0).astype(np.float32)
+        shift = sum(self._differences) / (len(self._differences) + 1)
+        values = np.clip(self._geometric + shift, 0.0, 1.0).astype(np.float32)
         sources = np.full(len(values), ScoreSource.GEOMETRIC, np.int8)
-        for (t, k), value in known.items():
-            if t == iteration:
-                values[k], sources[k] = value, ScoreSource.SCORED
+        for k, value in known.items():
+            values[k], sources[k] = value, ScoreSource.SCORED
         return values, sources
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
         """Descriptions of missing and late scores; empty if there are none."""
-        score_of = {key: self._scores.get(key) for key in self._geometric}
-        in_time = [s is not None and not s.error and s.counted == k[0] for k, s in score_of.items()]
-        if all(in_time):
+        if not self._errors:
             return ()
-        errors = [s.error for s in score_of.values() if s is not None and s.error]
-        reason = self.stopped or (errors or [f"later than {self._options.timeout_s:g} s"])[0]
         return (
-            f"the geometric S_sem took the place of {in_time.count(False)} of {len(in_time)} "
-            f"requested scores: {reason}",
+            f"the geometric S_sem took the place of {len(self._errors)} of {self._submitted} "
+            f"requested scores: {self.stopped or self._errors[0]}",
         )
 
     def summary(self) -> dict[str, Any]:
         """Return the statistics for run.json."""
-        scores = self._scores
         return {
-            "submitted": len(self._geometric),
-            "scored": sum(not s.error for s in scores.values()),
-            "late": sum(not s.error and s.counted > key[0] for key, s in scores.items()),
-            "failed": sum(bool(s.error) for s in scores.values()),
+            "submitted": self._submitted,
+            "scored": len(self._differences),
+            "failed": len(self._errors),
             "stopped": self.stopped,
             "cost_usd": round(self._panel.ledger.spent_usd - self._spent_before, 6),
         }

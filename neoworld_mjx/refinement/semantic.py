@@ -15,7 +15,6 @@ Errors below the noise of a parse lower the score only slightly. The score is st
 nevertheless, so that candidates can be ranked.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -42,17 +41,9 @@ def _extent(boxes: AnyArray) -> Array:
     return jnp.sqrt(sides[..., 0] * sides[..., 1] + 1e-9)
 
 
-class Semantic(eqx.Module):
-    """S_sem of candidates, in [0, 1]."""
-
-    total: Float[Array, " pop"]
-    by_object: Float[Array, "pop object"]
-    """Score of each object from the criteria that involve it; 1 for objects that are not scored."""
-
-
 def semantic_score(
-    scene: SceneArrays, depths: Float[Array, "pop object object"], visible: Visible
-) -> Semantic:
+    scene: SceneArrays, depths: Float[AnyArray, "pop object object"], visible: Visible
+) -> Float[Array, " pop"]:
     """Return S_sem of candidates in [0, 1]. If no object of the scene is scored, S_sem is 1.
 
     Args:
@@ -72,9 +63,6 @@ def semantic_score(
     )
     single = (box_score + full_visibility_score) / 2
     scored_count = jnp.sum(v.scored)
-
-    def mean(x: Array) -> Array:
-        return jnp.sum(jnp.where(v.scored, x, 0.0), axis=1) / jnp.maximum(scored_count, 1)
 
     # Pair criteria are symmetric arrays [candidate, i, j].
     def pairwise_difference(x: AnyArray) -> AnyArray:
@@ -115,15 +103,10 @@ def semantic_score(
     # objects.
     pairs = (order / 2 + relative + turn / 2 + separation) / 4
     pair_mask = v.scored[:, None] & v.scored & ~jnp.eye(scene.count, dtype=bool)
-    partners = jnp.sum(pair_mask, axis=1)
-    sums = jnp.sum(jnp.where(pair_mask, pairs, 0.0), axis=2)
-    has_pairs = jnp.sum(partners) > 0
-    pair_mean = jnp.sum(sums, axis=1) / jnp.maximum(jnp.sum(partners), 1)
-    by_object = jnp.where(has_pairs, sums / jnp.maximum(partners, 1) + single / 4, single)
-    total = jnp.where(
-        has_pairs, pair_mean + mean(single) / 4, jnp.where(scored_count > 0, mean(single), 1.0)
-    )
-    return Semantic(total, jnp.where(v.scored, by_object, 1.0))
+    pair_count = jnp.sum(pair_mask)
+    pair_mean = jnp.sum(jnp.where(pair_mask, pairs, 0.0), axis=(1, 2)) / jnp.maximum(pair_count, 1)
+    mean = jnp.sum(jnp.where(v.scored, single, 0.0), axis=1) / jnp.maximum(scored_count, 1)
+    return jnp.where(pair_count > 0, pair_mean + mean / 4, jnp.where(scored_count > 0, mean, 1.0))
 
 
 def _score(error: AnyArray, tolerance: float) -> Array:

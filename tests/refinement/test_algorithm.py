@@ -1,4 +1,4 @@
-"""Algorithm 1 against a listing in NumPy, and the rule that says what moves."""
+"""Algorithm 1 against a listing in NumPy, its elites, and its end."""
 
 from pathlib import Path
 
@@ -9,19 +9,21 @@ import pytest
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement.algorithm import (
+    Scores,
     converged,
     init,
+    normalized_reward,
     open_problem,
     propose,
     update,
 )
-from neoworld_mjx.refinement.objective import Scores
+from neoworld_mjx.refinement.rewards import Term
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
 POP = 40
-PAPER = {"hold_resting": False, "widest": 1.0, "credit": "scene", "sigma_floor": 0.0}
-PAPER |= {"zero_candidate": False, "stop_by": "elites", "elite_ratio": 0.2, "population": POP}
+PAPER = {"hold_resting": False, "widest": 1.0, "stop_by": "elites"}
+PAPER |= {"elite_ratio": 0.2, "population": POP}
 PAPER_FILE = Path(__file__).parents[2] / "configs" / "paper.yaml"
 LEAVES = ("xy", "yaw", "log_scale")
 
@@ -31,22 +33,19 @@ def scene():
     return compile_scene(scenes.blocks(), samples=16)
 
 
-def opened(scene, factor=1.0, seed=0, **cem):
-    o = RefineOptions.model_validate({"cem": cem, "settle": {"enabled": False}})
-    count = len(scene.names)
-    problem = open_problem(scene, o, Layout.zero(1, count))
-    return problem, init(problem, seed, np.broadcast_to(np.float32(factor), count))
+def opened(scene, seed=0, terms=(), reward=None, **cem):
+    o = RefineOptions.model_validate({"cem": cem, "reward": reward or {}})
+    problem = open_problem(scene, o, terms=terms)
+    return problem, init(problem, seed)
 
 
-def scored(reward, valid=False, rested=True, credit=None):
+def scored(reward, valid=False, rests=True, terms=None):
     """Scores of a toy problem, in which only rewards, validity and rest matter."""
     pop = len(reward)
-    reward = np.asarray(reward, np.float32)
-    rested = np.broadcast_to(np.asarray(rested, bool), (pop, 4))
-    zero = np.zeros((pop, 4), np.float32)
+    rests = np.broadcast_to(np.asarray(rests, bool), (pop, 4))
     valid = np.broadcast_to(np.asarray(valid, bool), (pop,))
-    status = np.zeros(pop, np.int32)
-    return Scores({}, valid, status, reward, reward, reward, zero, zero, rested, credit)
+    reward = np.asarray(reward, np.float32)
+    return Scores(terms or {}, reward, rests, valid, np.zeros(pop, np.int32))
 
 
 def listing(draws, mean, std, elite_count):
@@ -95,123 +94,74 @@ def test_with_the_papers_options_the_updates_are_those_of_algorithm_1(scene):
     free = np.asarray(scene.optimised, float)
     sigma = np.concatenate([np.repeat(0.05 * diagonal, 2), np.radians(15.0) * free, 0.1 * free])
     for candidates, mean, std in listing(draws, 0.0 * sigma, sigma, elite_count=8):
-        layouts = propose(scene, problem, state, POP)
+        layouts = propose(problem, state, POP)
         np.testing.assert_allclose(flat(layouts), candidates, atol=2e-6)
-        rested = np.zeros((POP, 4), bool)  # which must not matter
+        rests = np.zeros((POP, 4), bool)  # which must not matter
         rewards = [toy_reward(z) for z in flat(layouts)]
-        state = update(scene, problem, state, layouts, scored(rewards, rested=rested))
+        state = update(problem, state, layouts, scored(rewards, rests=rests))
         np.testing.assert_allclose(flat(state.optimizer.mean)[0], mean, atol=2e-6)
         np.testing.assert_allclose(flat(state.optimizer.std)[0], std, atol=2e-6)
     assert int(state.iteration) == iterations
     assert toy_reward(mean) > toy_reward(0.0 * mean) + 0.2
-    np.testing.assert_array_equal(state.sigma_factor, 1.0)
 
 
 def test_the_papers_configuration_has_these_options():
     """The options that the listing is compared with are those of `configs/paper.yaml`."""
     cem = load_config(PAPER_FILE).refine.cem
-    for name in ("hold_resting", "widest", "credit", "sigma_floor", "zero_candidate", "stop_by"):
+    for name in ("hold_resting", "widest", "stop_by"):
         assert getattr(cem, name) == PAPER[name], name
     assert not load_config(PAPER_FILE).refine.settle.enabled
 
 
-def test_the_factor_doubles_while_an_object_rests_in_no_candidate(scene):
-    problem, state = opened(scene, widest=12.0)
-    low, high, ball = (scene.names.index(name) for name in ("low", "high", "ball"))
-    rested = np.ones((POP, 4), bool)
-    rested[:, high] = False
-    rested[1:, ball] = False  # the ball rests in one candidate
-    seen = []
-    for _ in range(5):
-        layouts = propose(scene, problem, state, POP)
-        state = update(scene, problem, state, layouts, scored(np.arange(POP), rested=rested))
-        seen.append((float(state.sigma_factor[high]), bool(state.stuck[high])))
-    assert seen == [(2.0, False), (4.0, False), (8.0, False), (12.0, False), (12.0, True)]
-    assert float(state.sigma_factor[low]) == float(state.sigma_factor[ball]) == 1.0
-    assert not np.asarray(state.stuck)[[low, ball, scene.names.index("table")]].any()
-
-
-def test_the_factor_widens_positions_but_never_yaw_or_scale(scene):
-    problem, state = opened(scene, factor=(1.0, 1.0, 4.0, 0.25), zero_candidate=False)
-    near, _ = opened(scene, zero_candidate=False)
-    _, plain = opened(scene)
-    one = propose(scene, near, plain, POP)
-    many = propose(scene, problem, state, POP)
-    for name, factors in (
-        ("xy", (1, 1, 4, 0.25)),
-        ("yaw", (1, 1, 1, 0.25)),
-        ("log_scale", (1, 1, 1, 0.25)),
-    ):
-        a, b = (np.asarray(getattr(z, name)) for z in (one, many))
-        for k, factor in enumerate(factors):
-            np.testing.assert_allclose(b[:, k], factor * a[:, k], rtol=1e-5, atol=1e-7)
-
-
-def test_until_a_candidate_is_valid_an_object_learns_where_it_rests(scene):
-    low, high = (scene.names.index(name) for name in ("low", "high"))
-    problem, state = opened(scene, sigma_floor=0.0, elite_ratio=0.1, stop_by="best")
-    layouts = propose(scene, problem, state, POP)
-    rested = np.ones((POP, 4), bool)
-    rested[:, high] = np.arange(POP) >= 30
-    credit = np.tile(np.arange(POP, dtype=np.float32)[::-1, None], (1, 4))
-    fit = lambda scores: np.asarray(
-        update(scene, problem, state, layouts, scores).optimizer.mean.yaw
-    )
-    mean = fit(scored(-np.arange(POP), rested=rested, credit=credit))
-    yaw = np.asarray(layouts.yaw)
-    assert mean[0, low] == pytest.approx(yaw[:4, low].mean(), rel=1e-5)
-    assert mean[0, high] == pytest.approx(yaw[30:34, high].mean(), rel=1e-5)
-    # Once a candidate is valid, the scene's reward selects the elites of all objects.
-    valid = np.arange(POP) == 39
-    mean = fit(scored(np.arange(POP), valid=valid, rested=rested, credit=credit))
-    assert mean[0, low] == pytest.approx(yaw[36:, low].mean(), rel=1e-5)
-    assert mean[0, high] == pytest.approx(yaw[36:, high].mean(), rel=1e-5)
-    # By `credit: scene` it does so from the start.
-    problem = open_problem(
-        scene,
-        RefineOptions.model_validate({"cem": {"credit": "scene", "elite_ratio": 0.1}}),
-        Layout.zero(1, 4),
-    )
-    mean = fit(scored(np.arange(POP), rested=rested, credit=credit))
-    assert mean[0, high] == pytest.approx(yaw[36:, high].mean(), rel=1e-5)
+def test_elites_are_normalized_within_the_iteration_where_the_options_say_so(scene):
+    """By iteration, a term of small values weighs as much as one of large values."""
+    terms = [Term("small", None, 1.0, scale=1.0), Term("large", None, 0.9, scale=1.0)]
+    small, large = np.zeros((2, POP), np.float32)
+    small[3], large[5] = 1e-3, 9.0
+    values = {"small": small, "large": large, **dict.fromkeys(("s_sem", "prior"), 0 * small)}
+    values |= dict.fromkeys(("d_pen", "d_drift"), 0 * small)
+    reward = small / (1 + small) + 0.9 * large / (1 + large)
+    reward[7] = -np.inf
+    first = {}
+    for name in ("fixed", "iteration"):
+        weights = {"normalisation": name}
+        problem, state = opened(scene, terms=terms, reward=weights, elite_ratio=1 / POP, widest=1.0)
+        layouts = propose(problem, state, POP)
+        scores = scored(reward, terms=values)
+        fitted = update(problem, state, layouts, scores).optimizer.mean
+        first[name] = [k for k in range(POP) if np.allclose(fitted.yaw, layouts.yaw[k])]
+    assert first == {"fixed": [5], "iteration": [3]}
+    within = np.asarray(normalized_reward(problem, scored(reward, terms=values)))
+    assert within[[3, 5, 0, 7]] == pytest.approx([1.0, 0.9, 0.0, -np.inf])
 
 
 @pytest.mark.parametrize("stop_by", ["best", "elites"])
-def test_a_search_converges_after_iterations_without_gain(scene, stop_by):
-    problem, state = opened(scene, stop_by=stop_by, stop_gain=0.5, patience=2)
-    layouts = propose(scene, problem, state, POP)
+def test_a_search_converges_after_an_iteration_without_gain(scene, stop_by):
+    problem, state = opened(scene, stop_by=stop_by, stop_gain=0.5)
+    endless, _ = opened(scene, stop_by=stop_by, stop_gain=0.0)
+    layouts = propose(problem, state, POP)
     stopped = []
-    for level, valid in (
-        (0.0, False),
-        (0.1, False),
-        (0.2, True),
-        (1.0, True),
-        (1.2, True),
-        (1.3, True),
-    ):
-        scores = scored(np.full(POP, level), valid=valid)
-        state = update(scene, problem, state, layouts, scores)
+    for level, valid in ((0.0, False), (1.0, False), (1.2, False), (1.4, True), (2.0, True)):
+        state = update(problem, state, layouts, scored(np.full(POP, level), valid=valid))
         stopped.append(converged(problem, state))
+        assert not converged(endless, state)
+    state = update(problem, state, layouts, scored(np.full(POP, 2.1), valid=True))
     # The elites stall before any candidate is valid; the best valid candidate only after one is.
-    expected = [False, False, True, False, False, True]
-    assert stopped == (expected if stop_by == "elites" else [False] * 5 + [True])
+    assert stopped == [False, False, stop_by == "elites", stop_by == "elites", False]
+    assert converged(problem, state)
 
 
-def test_a_distribution_is_fitted_around_the_initial_layout_and_what_is_held_keeps_its_own(scene):
-    low, high = (scene.names.index(name) for name in ("low", "high"))
+def test_a_distribution_is_fitted_around_the_initial_layout(scene):
+    high = scene.names.index("high")
     xy = np.zeros((1, 4, 2), np.float32)
-    xy[0, [low, high]] = 0.03, -0.02
+    xy[0, high] = 0.03
     zero = np.zeros((1, 4), np.float32)
-    cem = {"sigma_floor": 0.0, "elite_ratio": 0.1}
-    o = RefineOptions.model_validate({"cem": cem, "settle": {"enabled": False}})
+    o = RefineOptions.model_validate({"cem": {"elite_ratio": 0.1}})
     problem = open_problem(scene, o, Layout(xy, zero, zero))
-    factor = np.ones(4, np.float32)
-    factor[low], factor[high] = 0.0, 4.0
-    state = init(problem, 0, factor)
-    layouts = propose(scene, problem, state, POP)
+    state = init(problem)
+    np.testing.assert_array_equal(state.optimizer.mean.xy, xy)
+    layouts = propose(problem, state, POP)
     reward = np.asarray(layouts.xy[:, high, 0])
-    state = update(scene, problem, state, layouts, scored(reward))
-    np.testing.assert_allclose(state.optimizer.mean.xy[0, low], xy[0, low], atol=1e-6)
+    state = update(problem, state, layouts, scored(reward))
     elites = np.asarray(layouts.xy)[np.argsort(-reward)[:4], high].mean(axis=0)
-    again = propose(scene, problem, state, POP)
-    np.testing.assert_allclose(np.asarray(again.xy)[0, high], elites, rtol=1e-5)
+    np.testing.assert_allclose(state.optimizer.mean.xy[0, high], elites, rtol=1e-5)

@@ -7,13 +7,10 @@ import pytest
 from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.refinement import choosing
-from neoworld_mjx.refinement.choosing import (
-    Round,
-    choose_winner,
-    rank_candidates,
-)
+from neoworld_mjx.refinement.algorithm import Scores
+from neoworld_mjx.refinement.choosing import choose_winner, rank_candidates
+from neoworld_mjx.refinement.evaluation import Round
 from neoworld_mjx.refinement.finishing import finish
-from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -51,11 +48,8 @@ def searched(model, plate_x, valid):
         layouts = Layout(xy, zero, zero)
         poses = jax.tree.map(np.asarray, model.place(layouts))
         better = -np.arange(pop, dtype=np.float32)
-        rested = np.ones((pop, count), bool)
-        scores = Scores(
-            {}, np.array(is_valid), np.zeros(pop, np.int32), better, better, better, zero, zero,
-            rested, None,
-        )  # fmt: skip
+        rests, status = np.ones((pop, count), bool), np.zeros(pop, np.int32)
+        scores = Scores({}, better, rests, np.array(is_valid), status)
         rounds.append(Round(layouts, poses, scores))
     initial = finish(model, rounds[0].layouts, 0, OPTIONS)
     return model, rounds, OPTIONS, initial
@@ -63,7 +57,7 @@ def searched(model, plate_x, valid):
 
 def test_an_initial_layout_that_passes_wins_over_better_candidates(models):
     chosen = choose_winner(*searched(models[0.0], [STANDS], [True]))
-    assert chosen.passed and chosen.index == (0, 0) and chosen.tried == 0
+    assert chosen.finished.passed and chosen.candidate == (0, 0) and chosen.tried == 0
     assert not np.asarray(chosen.layout.xy).any()
 
 
@@ -71,16 +65,15 @@ def test_an_initial_layout_that_passes_wins_over_better_candidates(models):
 def test_the_first_candidate_that_passes_wins(models, plate_x):
     chosen = choose_winner(*searched(models[FALLS], plate_x, [True] * len(plate_x)))
     first = plate_x.index(STANDS)
-    assert chosen.passed and chosen.index == (1, first) and chosen.tried == first + 1
-    assert chosen.before.max_drift_m > chosen.measure.max_drift_m
+    assert chosen.finished.passed and chosen.candidate == (1, first) and chosen.tried == first + 1
     assert len(chosen.layout.xy) == 1
-    plate = chosen.scene.object("plate").xy[0]
+    plate = chosen.finished.scene.object("plate").xy[0]
     assert plate == pytest.approx(STANDS, abs=2e-3)
 
 
 def test_invalid_candidates_are_checked_after_valid_ones(models):
     chosen = choose_winner(*searched(models[FALLS], [FALLS, STANDS], [False, True]))
-    assert chosen.passed and chosen.index == (1, 1) and chosen.tried == 1
+    assert chosen.finished.passed and chosen.candidate == (1, 1) and chosen.tried == 1
 
 
 def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
@@ -111,10 +104,10 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
         == initial.excess_over_bounds(o)
         > 0
     )
-    assert chosen.index == (0, 0) and chosen.finished is initial
+    assert chosen.candidate == (0, 0) and chosen.finished is initial
     worst = [5.0, 0.02, 0.03]
     chosen = choose_winner(model, rounds, o, initial)
-    assert chosen.index == (1, 1) and chosen.finished.excess_over_bounds(
+    assert chosen.candidate == (1, 1) and chosen.finished.excess_over_bounds(
         o
     ) < initial.excess_over_bounds(o)
 
@@ -123,30 +116,21 @@ def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models
     model, rounds, _, _ = searched(models[FALLS], NEAR, [True] * 6)
     initial = finish(model, rounds[0].layouts, 0, UNSETTLED)
     chosen = choose_winner(model, rounds[1:], UNSETTLED, initial)
-    assert not chosen.passed and chosen.index[0] == 0 and chosen.tried == 3
+    assert not chosen.finished.passed and chosen.candidate[0] == 0 and chosen.tried == 3
     nothing = choose_winner(model, [], UNSETTLED, initial)
-    assert nothing.index == (-1, -1) and nothing.finished is initial
+    assert nothing.candidate == (-1, -1) and nothing.finished is initial
 
 
-def iteration(valid, merit, absolute):
+def iteration(valid, reward):
     pop = len(valid)
-    zero = np.zeros((pop, 1), np.float32)
     poses = Poses(*(np.zeros((pop, 1, *last), np.float32) for last in ((3,), (4,), (), ())))
-    merit, absolute = np.float32(merit), np.float32(absolute)
-    scores = Scores(
-        {}, np.array(valid), np.zeros(pop, np.int32), absolute, absolute, merit, zero, zero,
-        np.ones((pop, 1), bool), None,
-    )  # fmt: skip
+    rests, status = np.ones((pop, 1), bool), np.zeros(pop, np.int32)
+    scores = Scores({}, np.float32(reward), rests, np.array(valid), status)
     return Round(Layout.zero(pop, 1), poses, scores)
 
 
-def test_valid_candidates_are_ranked_by_merit_and_the_others_by_absolute_reward():
-    first = iteration([False], [9.0], [0.5])
-    second = iteration([True, False, True, False], [1.0, 8.0, 3.0, 7.0], [2.0, 0.9, -1.0, -np.inf])
-    order = rank_candidates([first, second])
-    found = [entry for entry, absolute in order if np.isfinite(absolute)]
-    assert found == [(1, 2), (1, 0), (1, 1), (0, 0)]
-    assert dict(order)[1, 2] == -1.0 and dict(order)[0, 0] == 0.5
-    # Entries that fill up the first iteration come last, with failed candidates.
-    assert len(order) == 8 and {entry for entry, _ in order[4:]} == {(1, 3), (0, 1), (0, 2), (0, 3)}
+def test_valid_candidates_rank_before_all_others_and_the_reward_decides_among_them():
+    first = iteration([False], [9.0])
+    second = iteration([True, False, True, False, True], [1.0, 8.0, 3.0, -np.inf, np.nan])
+    assert rank_candidates([first, second]) == [(1, 2), (1, 0), (0, 0), (1, 1)]
     assert rank_candidates([]) == []

@@ -16,7 +16,7 @@ from neoworld_mjx.refinement.optimizer import (
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
-OPTIONS = CEMOptions(zero_candidate=False)
+OPTIONS = CEMOptions()
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def test_random_search_always_draws_from_the_initial_gaussian(scene):
     layouts = search.ask(key, state, 6)
     first = cem.ask(key, cem.init(mean), 6)
     jax.tree.map(np.testing.assert_array_equal, layouts, first)
-    after = search.tell(state, layouts, np.arange(6.0), key=key, absolute=None, credit=None)
+    after = search.tell(state, layouts, np.arange(6.0), key=key, rests=None)
     jax.tree.map(np.testing.assert_array_equal, search.ask(key, after, 6), layouts)
-    learned = cem.tell(cem.init(mean), layouts, np.arange(6.0), key=key, absolute=None, credit=None)
+    learned = cem.tell(cem.init(mean), layouts, np.arange(6.0), key=key, rests=None)
     assert not np.array_equal(cem.ask(key, learned, 6).xy, layouts.xy)
 
 

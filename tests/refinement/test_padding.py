@@ -13,9 +13,9 @@ from neoworld_mjx.physics.scene_arrays import (
     pad_scene,
 )
 from neoworld_mjx.refinement import refine
+from neoworld_mjx.refinement.algorithm import evaluate, open_problem
 from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.refinement.evaluation import pad_rollout
-from neoworld_mjx.refinement.objective import evaluate, open_objective
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -38,23 +38,21 @@ def test_padded_equals_unpadded(scene):
     key = jax.random.key(1)
     layouts, drawn = (c.ask(key, c.init(), 8) for c in (cem, wide))
     jax.tree.map(np.testing.assert_array_equal, unpadded(drawn, scene), unpadded(layouts, scene))
-    objective = open_objective(o)
     one, two = (
         measure_settled(s, p := s.place(z), p) for s, z in ((scene, layouts), (padded, drawn))
     )
     moved = rollout(scene, layouts, engine="native", duration=0.2)
-    first = evaluate(scene, layouts, one, moved, objective)
+    first = evaluate(scene, open_problem(scene, o), layouts, moved, one)
     wide_moved = pad_rollout(jax.device_get(moved), padded)
-    second = evaluate(padded, drawn, two, wide_moved, objective)
+    second = evaluate(padded, open_problem(padded, o), drawn, wide_moved, two)
     assert float(np.max(first.terms["d_pen"])) > 1e-3
     near = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=2e-6)
     near(one.poses.pos, np.asarray(two.poses.pos)[:, : scene.count])
     for name in first.terms:
         near(first.terms[name], second.terms[name])
     near(first.reward, second.reward)
-    near(first.credit, np.asarray(second.credit)[:, : scene.count])
     np.testing.assert_array_equal(first.valid, second.valid)
-    np.testing.assert_array_equal(first.rested, np.asarray(second.rested)[:, : scene.count])
+    np.testing.assert_array_equal(first.rests, np.asarray(second.rests)[:, : scene.count])
 
 
 def toppling(scene):

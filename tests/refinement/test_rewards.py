@@ -17,11 +17,8 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.refinement import rewards
-from neoworld_mjx.refinement.objective import (
-    evaluate,
-    named_terms,
-    open_objective,
-)
+from neoworld_mjx.refinement.algorithm import evaluate, open_problem
+from neoworld_mjx.refinement.problem import open_terms
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout
@@ -80,40 +77,35 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
 
 
 def scored(scene, layouts, rollout, **reward):
-    objective = open_objective(RefineOptions(reward=RewardOptions(**reward)))
+    problem = open_problem(scene, RefineOptions(reward=RewardOptions(**reward)))
     poses = scene.place(layouts)
     pop, count = layouts.yaw.shape
     depth, settled = np.zeros((pop, count, count)), np.zeros((pop, count))
     candidates = Placed(poses, np.float32(depth), as_parsed(scene.photo, pop), np.float32(settled))
-    return evaluate(scene, layouts, candidates, rollout, objective)
+    return evaluate(scene, problem, layouts, rollout, candidates)
 
 
-@pytest.mark.parametrize("normalisation", ["fixed", "iteration"])
 @pytest.mark.parametrize(
-    ("weight", "absolute", "by_iteration"),
+    ("weight", "reward"),
     [
-        ("w_sem", [0.25, 0.75], [0.25, 0.75]),
-        ("w_prior", [0.0, -0.5], [0.0, -0.5]),
-        ("w_pen", [0.0, -2 / 8], [0.0, -1.0]),
-        ("w_drift", [0.0, -3 / 4], [0.0, -1.0]),
+        ("w_sem", [0.25, 0.75]),
+        ("w_prior", [0.0, -0.5]),
+        ("w_pen", [0.0, -2 / 6]),
+        ("w_drift", [0.0, -3 / 9]),
     ],
 )
-def test_each_term_has_its_sign_in_the_reward(weight, absolute, by_iteration, normalisation):
+def test_each_term_has_its_sign_in_the_reward(weight, reward):
     """One weight is 1 and the others are 0: a better agreement raises the reward, costs lower it.
 
     The second candidate has S_sem 0.75, one of two objects turned by 2 sigma, an overlap of 2 mm
-    (scale 6 mm, cap 4 mm), and a drift of 3 bounds (scale 1, cap 6).
+    (scale 4 mm), and a drift of 3 bounds (scale 6).
     """
     scene = two_boxes(0.0)
     b = scene.names.index("b")
     weights = dict.fromkeys(("w_sem", "w_prior", "w_pen", "w_drift"), 0.0) | {weight: 1.0}
-    caps = {"d_pen_cap_m": 0.004, "d_drift_cap": 6.0, "drift_free": 0.0}
+    scales = {"d_pen_scale_m": 0.004, "d_drift_scale": 6.0}
     options = RefineOptions.model_validate(
-        {
-            "reward": {**weights, **caps, "normalisation": normalisation},
-            "cem": {"sigma_yaw_deg": 10.0},
-            "max_depth_m": 0.006,
-        }
+        {"reward": {**weights, **scales}, "cem": {"sigma_yaw_deg": 10.0}}
     )
     yaw = np.zeros((2, 3), np.float32)
     yaw[1, b] = np.radians(20.0)
@@ -126,15 +118,9 @@ def test_each_term_has_its_sign_in_the_reward(weight, absolute, by_iteration, no
     pos[1, 0, b, 1] += 0.03
     rollout = eqx.tree_at(lambda r: r.pos, zero_duration_rollout(scene, poses), jnp.asarray(pos))
     agreement = np.array([0.25, 0.75], np.float32)
-    scores = evaluate(scene, layouts, placed, rollout, open_objective(options), agreement)
-    assert scores.absolute == pytest.approx(np.array(absolute), abs=1e-5)
-    fixed = {"w_pen": [0.0, -0.5], "w_drift": [0.0, -0.5]}.get(weight, absolute)
-    expected = fixed if normalisation == "fixed" else by_iteration
-    assert scores.reward == pytest.approx(np.array(expected), abs=1e-5)
-    # The bounds limit overlap and drift, so neither is part of the fidelity.
-    physical = weight in ("w_pen", "w_drift")
-    merit = [0.0, 0.0] if physical else absolute
-    assert scores.merit == pytest.approx(np.array(merit), abs=1e-5)
+    problem = open_problem(scene, options)
+    scores = evaluate(scene, problem, layouts, rollout, placed, agreement)
+    assert scores.reward == pytest.approx(np.array(reward), abs=1e-5)
     assert scores.terms["d_drift"] == pytest.approx(np.array([0.0, 3.0]), abs=1e-4)
     assert scores.valid.tolist() == [True, False]
 
@@ -150,14 +136,12 @@ def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
     yaw[0, b], log_scale[0, a] = 0.2, -0.1  # 1 and -2 sigma
     yaw[0, scene.names.index("table")] = 1.0  # not optimised
     layouts = Layout(jnp.asarray(xy), jnp.asarray(yaw), jnp.asarray(log_scale))
-    found = rewards.Prior(sigma)(scene, layouts, None)
-    each = {"a": 4 / 4, "b": (9 + 16 + 1) / 4, "table": 0.0}
-    assert found.by_object[0] == pytest.approx(np.array([each[n] for n in scene.names]), rel=1e-5)
-    assert float(found.value[0]) == float(found.reward_value[0]) == pytest.approx((1 + 6.5) / 2)
+    of = lambda scene, origin: float(rewards.prior(scene, layouts, np.array(sigma), origin)[0])
+    zero = Layout.zero(1, 3)
+    assert of(scene, zero) == pytest.approx((4 / 4 + (9 + 16 + 1) / 4) / 2)
     alone = eqx.tree_at(lambda s: s.optimised, scene, jnp.arange(3) == b)
-    assert float(rewards.Prior(sigma)(alone, layouts, None).value[0]) == pytest.approx(6.5)
-    there = rewards.Prior(sigma, layouts)(scene, layouts, None)
-    assert not np.any(np.asarray(there.by_object))
+    assert of(alone, zero) == pytest.approx(6.5)
+    assert of(scene, layouts) == 0.0
 
 
 def test_drift_of_joints_is_their_peak_over_the_bound_of_their_kind():
@@ -188,9 +172,8 @@ def test_failed_candidates_score_minus_infinity_and_are_never_valid():
         jnp.asarray(rollout.status).at[1].set(int(RolloutStatus.FAILED)),
     )
     found = scored(scene, layouts, broken)
-    assert float(found.reward[1]) == float(found.absolute[1]) == -np.inf
+    assert float(found.reward[1]) == -np.inf
     assert not bool(found.valid[1])
-    assert found.credit is not None and not np.any(np.isfinite(np.asarray(found.credit)[1]))
     assert np.all(np.isfinite(np.asarray(found.reward)[[0, 2, 3]]))
 
 
@@ -223,7 +206,7 @@ def test_a_user_defined_term_enters_the_reward_and_the_history(monkeypatch):
     without = scored(scene, layouts, rollout)
     height = np.asarray(higher_is_better(scene, layouts, rollout))
     assert np.asarray(with_term.terms["higher_is_better"]) == pytest.approx(height)
-    assert np.asarray(with_term.absolute - without.absolute) == pytest.approx(2 * height, abs=1e-5)
+    assert np.asarray(with_term.reward - without.reward) == pytest.approx(2 * height, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +214,7 @@ def test_a_user_defined_term_enters_the_reward_and_the_history(monkeypatch):
 )
 def test_an_unknown_term_is_named(path):
     with pytest.raises(ConfigError, match=r"refine\.reward\.terms.*" + path):
-        named_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
+        open_terms(RefineOptions(reward=RewardOptions(terms={path: 1.0})))
 
 
 @functools.cache

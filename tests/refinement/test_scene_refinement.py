@@ -1,17 +1,13 @@
-"""Inputs of `refine`: a scene or its path, an engine, and scores that arrive late."""
+"""Inputs and results of `refine`: a scene or its path, an engine, history and failures."""
 
 from inspect import unwrap
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.refinement import scene_refinement as module
-from neoworld_mjx.refinement.choosing import Round
-from neoworld_mjx.refinement.objective import Scores
 from neoworld_mjx.refinement.scene_refinement import read_composed, refine
 from neoworld_mjx.refinement.scorer import ScoreSource
 from tests.support import scenes
@@ -58,34 +54,6 @@ def test_a_scene_is_read_from_a_run_folder_before_its_refinement(tmp_path):
         read_composed(tmp_path / "nowhere")
 
 
-def test_scores_that_come_late_count_in_the_choice_of_the_winner():
-    pop = 4
-    s_sem, zero = np.float32([0.1, 0.2, 0.3, 0.4]), np.zeros((pop, 1), np.float32)
-    base = np.float32([1.0, 2.0, 3.0, -np.inf])
-    scores = Scores(
-        {"s_sem": s_sem, "d_pen": s_sem}, np.zeros(pop, bool), np.zeros(pop, np.int32),
-        base, base + 10, base + 20, zero, zero, np.ones((pop, 1), bool), None,
-    )  # fmt: skip
-    round_ = Round(Layout.zero(pop, 1), None, scores)  # The poses are not read.
-    marks = np.full(pop, ScoreSource.GEOMETRIC, np.int8)
-    late = {(2, 0): 0.6, (1, 1): 0.9, (2, 3): 0.5}
-    scorer = SimpleNamespace(known=late.get)
-    after = unwrap(module._with_late_scores)(scorer, 2, round_, marks, 4.0)
-    change = np.float32([0.5, 0, 0, 0.1])
-    np.testing.assert_allclose(after.scores.terms["s_sem"], s_sem + change, rtol=1e-6)
-    np.testing.assert_array_equal(after.scores.terms["d_pen"], s_sem)
-    for name in ("reward", "absolute", "merit"):
-        expected = getattr(scores, name) + 4.0 * change
-        np.testing.assert_allclose(getattr(after.scores, name), expected, rtol=1e-6)
-    assert list(marks) == [
-        ScoreSource.SCORED,
-        ScoreSource.GEOMETRIC,
-        ScoreSource.GEOMETRIC,
-        ScoreSource.SCORED,
-    ]
-    assert after.layouts is round_.layouts
-
-
 def test_a_model_scores_only_where_its_scores_weigh():
     o = options(semantic={"scorer": "mllm"})
     with pytest.raises(ConfigError, match="needs the photograph and a model"):
@@ -94,9 +62,46 @@ def test_a_model_scores_only_where_its_scores_weigh():
     assert not refine(scenes.blocks(), weightless).scoring
 
 
-def test_the_delivered_scene_has_the_score_that_a_model_gave_its_candidate(monkeypatch):
+def test_the_history_states_which_scores_are_those_of_a_model(monkeypatch):
     monkeypatch.setattr(module, "SemanticScorer", ConstantScorer)
-    o = options(semantic={"scorer": "mllm"}, settle={"enabled": False})
+    o = options(semantic={"scorer": "mllm"})
     refined = refine(scenes.blocks(), o, engine="native")
-    assert refined.winner[0] >= 0 and refined.delivered["s_sem"] == 0.25
-    assert np.all(refined.history["s_sem_from"] == ScoreSource.SCORED)
+    sources = refined.history["s_sem_from"]
+    assert np.all(sources[0] == ScoreSource.GEOMETRIC) and np.all(sources[1] == ScoreSource.SCORED)
+    assert refined.scoring == {"calls": 0}
+
+
+@pytest.fixture(scope="module")
+def unmoved():
+    """A search of one iteration, of a scene that passes; every object moves."""
+    o = options(settle={"enabled": False}, cem={"population": 8, "iterations": 1})
+    return o, refine(scenes.blocks(), o, engine="native")
+
+
+def test_the_history_has_all_candidates_and_terms(unmoved):
+    o, refined = unmoved
+    history = refined.history
+    assert history["reward"].shape == history["d_pen"].shape == (1, 8)
+    assert history["xy"].shape == (1, 8, 4, 2)
+    weights = dict(zip(history["term_names"], history["term_weights"], strict=True))
+    assert weights == {
+        "s_sem": o.reward.w_sem, "prior": pytest.approx(-o.reward.w_prior),
+        "d_pen": pytest.approx(-o.reward.w_pen), "d_drift": pytest.approx(-o.reward.w_drift),
+    }  # fmt: skip
+    assert history["object_names"].tolist() == ["table", "low", "high", "ball"]
+    assert "s_sem_from" not in history
+    moving = np.asarray(refined.layout.log_scale)[0, 1:]
+    assert refined.mean_log_scale == pytest.approx(moving.mean())
+    assert repr(refined).startswith(f"Refined({refined.scene.name}: ")
+
+
+def test_iterations_of_other_sizes_are_padded():
+    o = options(reward={"terms": {f"{__name__}:higher": 1.0}})
+    history = refine(scenes.blocks(), o, engine="native").history
+    assert history["status"].shape == (2, 8) and history["higher"].shape == (2, 8)
+    assert (history["status"][0, 1:] == module.NOT_SAMPLED).all()
+    assert np.isneginf(history["reward"][0, 1:]).all() and np.isnan(history["xy"][0, 1:]).all()
+
+
+def higher(scene, layouts, rollout):
+    return rollout.pos[:, -1, 2, 2]

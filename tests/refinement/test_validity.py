@@ -1,4 +1,4 @@
-"""Validity, merit and status of candidates, each with one measure at or beside its bound."""
+"""Validity and status of candidates, each with one measure at or beside its bound."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.physics.visibility import as_parsed
-from neoworld_mjx.refinement.objective import evaluate, open_objective
+from neoworld_mjx.refinement.algorithm import evaluate, open_problem
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -27,7 +27,7 @@ VALID = {"still", "deep below it", "settled below it", "moved below"}
 
 @pytest.fixture(scope="module")
 def judged():
-    """Scores of one candidate for each of STATES, by fidelity and by absolute reward; a, b."""
+    """Scores of one candidate for each of STATES, and the indices of a and b."""
     box = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
     other = box.model_copy(update={"name": "b"})
     scene = compile_scene(
@@ -56,60 +56,42 @@ def judged():
         lambda r: (r.pos, r.quat, r.status), still, tuple(map(jnp.asarray, (pos, quat, status)))
     )
     candidates = Placed(poses, depth, as_parsed(scene.photo, pop), settled)
-    found = [
-        evaluate(
-            scene,
-            layouts,
-            candidates,
-            rollout,
-            open_objective(OPTIONS.model_copy(update={"merit": merit})),
-        )
-        for merit in ("fidelity", "absolute")
-    ]
-    return *found, a, b
+    problem = open_problem(scene, OPTIONS)
+    return evaluate(scene, problem, layouts, rollout, candidates), a, b
 
 
 @pytest.mark.parametrize("state", STATES)
 def test_a_candidate_is_valid_if_every_object_is_within_every_bound(judged, state):
-    scores, _, _, _ = judged
+    scores, _, _ = judged
     assert bool(scores.valid[STATES.index(state)]) == (state in VALID)
 
 
 def test_the_object_beyond_a_bound_is_the_one_that_does_not_rest(judged):
-    scores, _, a, b = judged
+    scores, a, b = judged
     for state, restless in {
         "deep at the bound": {a, b},
         "settled at the bound": {b},
         "moved beyond": {a},
         "turned beyond": {b},
     }.items():
-        rested = np.asarray(scores.rested)[STATES.index(state)]
-        assert set(np.flatnonzero(~rested)) == restless, state
-    assert not np.asarray(scores.rested)[[STATES.index("failed"), STATES.index("truncated")]].any()
+        rests = np.asarray(scores.rests)[STATES.index(state)]
+        assert set(np.flatnonzero(~rests)) == restless, state
+    assert not np.asarray(scores.rests)[[STATES.index("failed"), STATES.index("truncated")]].any()
 
 
 def test_candidates_that_were_not_simulated_keep_their_status_and_have_no_reward(judged):
-    for scores in judged[:2]:
-        for state in ("truncated", "failed"):
-            k = STATES.index(state)
-            for value in (scores.reward, scores.absolute, scores.merit):
-                assert float(value[k]) == -np.inf
-        status = np.asarray(scores.status)
-        assert status[STATES.index("truncated")] == RolloutStatus.TRUNCATED
-        assert status[STATES.index("failed")] == RolloutStatus.FAILED
-        assert not status[:-2].any()
-        assert np.isfinite(np.asarray(scores.reward)[:-2]).all()
+    scores, _, _ = judged
+    status, reward = np.asarray(scores.status), np.asarray(scores.reward)
+    for state in ("truncated", "failed"):
+        assert reward[STATES.index(state)] == -np.inf
+    assert status[STATES.index("truncated")] == RolloutStatus.TRUNCATED
+    assert status[STATES.index("failed")] == RolloutStatus.FAILED
+    assert not status[:-2].any() and np.isfinite(reward[:-2]).all()
+    assert np.all(reward[1:-2] < reward[0])
 
 
-def test_the_fidelity_is_free_of_penetration_and_drift_but_not_of_settling(judged):
-    by_fidelity, by_absolute, _, _ = judged
-    merit, absolute = np.asarray(by_fidelity.merit), np.asarray(by_fidelity.absolute)
-    # Penetration lowers S_sem, which has a criterion of its own for it.
-    s_sem = OPTIONS.reward.w_sem * np.asarray(by_fidelity.terms["s_sem"])
-    settled = {"settled below it": 0.5, "settled at the bound": 1.0}
-    for k, state in enumerate(STATES[:-2]):
-        cost = OPTIONS.reward.w_drift * settled.get(state, 0.0) / (1 + settled.get(state, 0.0))
-        assert merit[k] == pytest.approx(s_sem[k] - cost, abs=1e-6), state
-        assert state == "still" or absolute[k] < absolute[0]
-    assert np.array_equal(by_absolute.merit, by_absolute.absolute)
-    assert np.array_equal(absolute, by_absolute.absolute)
+def test_displacement_by_settling_costs_as_much_as_drift(judged):
+    scores, _, _ = judged
+    drift = np.asarray(scores.terms["d_drift"])
+    assert drift[STATES.index("settled below it")] == pytest.approx(0.5)
+    assert drift[STATES.index("settled at the bound")] == pytest.approx(1.0)

@@ -68,7 +68,6 @@ def algorithm1(o: RefineOptions) -> RefineOptions:
         for part in groups:
             group = group.setdefault(part, {})
         group[name] = option.difference.value
-    values["cem"] |= {"patience": 1}
     return changed(o, values)
 
 
