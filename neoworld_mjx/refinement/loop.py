@@ -47,8 +47,6 @@ class SearchResult:
     """If True, the initial layout is the result if it passes the final check."""
     rounds: list[Round] = field(default_factory=list)
     """The iterations. With settling, the first one consists of the initial layout."""
-    state: SearchState | None = None
-    """State after the last iteration; None if there was none."""
 
     @property
     def rollouts(self) -> int:
@@ -117,26 +115,31 @@ def search(
     report = progress or (lambda line: None)
     result = open_search(scene, o, engine, start, terms, optimizer, scorer is not None, clock)
     report(_initial_line(scene, result.initial, o))
-    problem, state, finished = result.evaluation.problem, None, False
+    evaluation, total = result.evaluation, o.cem.iterations
 
     def add(number: int, round_: Round) -> bool:
-        """Add an iteration; return True if the search ends with it."""
+        """Add an iteration and report it; return True if the search ends with it."""
         result.rounds.append(round_)
-        if np.any(round_.scores.valid) and np.isnan(clock["to_valid"]):
-            clock["to_valid"] = time.perf_counter() - began
-        return on_iteration is not None and bool(on_iteration(summarize(number, round_)))
+        step, seconds = summarize(number, round_), time.perf_counter() - began
+        if step.valid and np.isnan(clock["to_valid"]):
+            clock["to_valid"] = seconds
+        if number:
+            best = "none" if step.best is None else f"{step.best:.3f}"
+            valid = f"{step.valid / step.candidates:.0%} valid"
+            report(f"iteration {number}/{total}: best {best}, {valid}")
+            rate, left_s = result.rollouts / seconds, seconds / number * (total - number)
+            update_progress(done=number, of=total, unit="iteration", rate=rate, left_s=left_s)
+        return on_iteration is not None and bool(on_iteration(step))
 
+    finished, state = False, init(evaluation.problem, seed)
     if o.settle.enabled:
-        finished = add(0, result.evaluation.initial_round(result.initial.scene))
+        finished = add(0, evaluation.initial_round(result.initial.scene))
         finished |= result.initial.passed and result.accept_initial
     for number in range(1, o.cem.iterations + 1):
         if finished:
             break
-        state = init(problem, seed) if state is None else state
-        result.state, round_ = state, _ = iterate(result.evaluation, state, number, scorer)
-        finished = add(number, round_) or converged(problem, state)
-        report(_line(number, o.cem.iterations, round_))
-        _update_progress(number, o.cem.iterations, result.rollouts, time.perf_counter() - began)
+        state, round_ = iterate(evaluation, state, number, scorer)
+        finished = add(number, round_) or converged(evaluation.problem, state)
     clock["search"] = time.perf_counter() - began
     return result
 
@@ -228,23 +231,4 @@ def summarize(number: int, round_: Round) -> Iteration:
         best=None if best is None else float(scores.reward[best]),
         mean=None if best is None else float(np.mean(scores.reward[finite])),
         terms={} if best is None else {n: float(x[best]) for n, x in scores.terms.items()},
-    )
-
-
-def _line(number: int, total: int, round_: Round) -> str:
-    scores = round_.scores
-    return (
-        f"iteration {number}/{total}: best {float(np.max(scores.reward)):.3f}, "
-        f"{float(np.mean(scores.valid)):.0%} valid"
-    )
-
-
-def _update_progress(done: int, total: int, rollouts: int, seconds: float) -> None:
-    """Report the number of iterations, the candidates per second and the longest remaining time."""
-    update_progress(
-        done=done,
-        of=total,
-        unit="iteration",
-        rate=rollouts / max(seconds, 1e-9),
-        left_s=seconds / done * (total - done),
     )

@@ -110,28 +110,24 @@ def _try(term: Term, scene: SceneModel, layouts: Layout, rollout: Rollout) -> No
     if not callable(term.fn):
         raise ConfigError(f"{where} is not a function of (scene, layouts, rollout)")
     try:
-        shape = eqx.filter_eval_shape(term.fn, scene, layouts, rollout)
-        got = getattr(shape, "shape", None)
-        if got is None or not jnp.issubdtype(shape.dtype, jnp.number):
-            kind = f"a {type(shape).__name__}" if got is None else f"dtype {shape.dtype}"
-            raise ConfigError(
-                f"{where} must return an array of shape [pop], one number per candidate, got "
-                f"{'None' if shape is None else kind}"
-            )
-        if got != (pop,):
-            raise ConfigError(
-                f"{where} must return shape [pop], here [{pop}] for {pop} candidates, got "
-                f"{list(got) if got else 'a scalar'}"
-            )
-        values = np.asarray(eqx.filter_jit(term.fn)(scene, layouts, rollout))
-    except ConfigError:
-        raise
+        value = eqx.filter_jit(term.fn)(scene, layouts, rollout)
     except (Exception, SystemExit) as error:
         text = str(error).strip().split("\n")[0]
         raise ConfigError(
             f"{where} cannot be called with (scene, layouts, rollout): "
             f"{type(error).__name__}: {text}"
         ) from error
+    values = np.asarray(value)
+    if not np.issubdtype(values.dtype, np.number):
+        kind = "None" if value is None else f"dtype {values.dtype}"
+        raise ConfigError(
+            f"{where} must return an array of shape [pop], one number per candidate, got {kind}"
+        )
+    if values.shape != (pop,):
+        got = list(values.shape) if values.ndim else "a scalar"
+        raise ConfigError(
+            f"{where} must return shape [pop], here [{pop}] for {pop} candidates, got {got}"
+        )
     bad = ~np.isfinite(values)
     if bad.any():
         raise ConfigError(

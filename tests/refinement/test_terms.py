@@ -165,7 +165,7 @@ def infinite(scene, layouts, rollout):
         (scalar, r"got a scalar"),
         (by_object, r"must return shape \[pop\].*got \[8, 3\]"),
         (raising, "KeyError: 'cup'"),
-        (two_arguments, "TypeError.*takes 2 positional arguments but 3"),
+        (two_arguments, "TypeError: too many positional arguments"),
         (infinite, "returned -inf for 8 of 8 candidates"),
         (lambda *_: None, "must return an array of shape .*got None"),
         (3.0, "is not a function of"),
