@@ -58,7 +58,7 @@ np.savez(out, programs=[program.as_text() for program in programs.values()], **s
 """
 
 
-# tests/refinement/test_devices.py runs a search on eight devices.
+# The last test of this file measures candidates on eight devices.
 @pytest.mark.slow
 def test_four_devices_simulate_what_one_does_without_communication(tmp_path):
     out = tmp_path / "rollouts.npz"
