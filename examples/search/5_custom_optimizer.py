@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import neoworld_mjx as nw
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.cem import draw, initial_sigma
+from neoworld_mjx.search.cem import draw, initial_sigma
 from neoworld_mjx.sweeps import case
 
 

@@ -13,9 +13,9 @@ from ..physics.engine import open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.native import NativeEngine
-from ..refinement.finishing import compile_for_search
-from ..refinement.loop import Iteration
-from ..refinement.scene_refinement import Refined, read_composed, refine
+from ..search.finishing import compile_for_search
+from ..search.loop import Iteration
+from ..search.scene_refinement import Refined, read_composed, refine
 from ..spec import SceneSpec
 from .plan import Point
 

@@ -10,8 +10,8 @@ import numpy as np
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_in_chunks
-from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.algorithm import evaluate, open_problem
+from neoworld_mjx.search import refine
+from neoworld_mjx.search.algorithm import evaluate, open_problem
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 

@@ -1,7 +1,7 @@
 """The examples of the search run as they stand.
 
 Of the slow ones, the default suite makes the same calls elsewhere: Algorithm 1 by hand in
-tests/refinement/test_algorithm.py, one program for several weights in tests/refinement/test_cem.py,
+tests/search/test_algorithm.py, one program for several weights in tests/search/test_cem.py,
 gradients in test_gradients.py, a reward of the rollout in test_rewards.py there.
 """
 

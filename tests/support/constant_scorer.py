@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.refinement.scorer import ScoreSource, SemanticScorer
+from neoworld_mjx.search.scorer import ScoreSource, SemanticScorer
 
 
 class ConstantScorer(SemanticScorer):

@@ -14,8 +14,8 @@ from neoworld_mjx.config import Config, RefineOptions, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.measure import scene_checks, scene_measure
 from neoworld_mjx.physics.colliders import snap_exactly
-from neoworld_mjx.refinement import scene_refinement
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
+from neoworld_mjx.search import scene_refinement
 from neoworld_mjx.view import server
 from neoworld_mjx.view.report import search
 from neoworld_mjx.view.report.objects import BOXES, SEARCH, SHAPES, all_moves

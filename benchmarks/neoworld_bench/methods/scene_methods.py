@@ -19,7 +19,7 @@ from neoworld_mjx.physics.colliders import snap_exactly, start_state
 from neoworld_mjx.physics.engine import Engine
 from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
-from neoworld_mjx.refinement.finishing import compile_for_search
+from neoworld_mjx.search.finishing import compile_for_search
 from neoworld_mjx.spec import SceneSpec
 
 from ..noise.initial_scenes import InitialScene

@@ -23,8 +23,8 @@ from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.cem import open_cem
 from neoworld_mjx.render import View, render
+from neoworld_mjx.search.cem import open_cem
 from neoworld_mjx.spec import SceneSpec, bounds, joint_position, link_poses, world_poses
 from neoworld_mjx.spec.kinematics import welded
 from neoworld_mjx.spec.pose import rotate

@@ -6,8 +6,8 @@ import pytest
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import passes
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.refinement import finishing
-from neoworld_mjx.refinement.finishing import displacement, finish, free_to_move, with_resting_fixed
+from neoworld_mjx.search import finishing
+from neoworld_mjx.search.finishing import displacement, finish, free_to_move, with_resting_fixed
 from neoworld_mjx.spec import Box, Ellipsoid
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes

@@ -7,9 +7,9 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError, SpecError
-from neoworld_mjx.refinement import scene_refinement as module
-from neoworld_mjx.refinement.scene_refinement import read_composed, refine
-from neoworld_mjx.refinement.scorer import ScoreSource
+from neoworld_mjx.search import scene_refinement as module
+from neoworld_mjx.search.scene_refinement import read_composed, refine
+from neoworld_mjx.search.scorer import ScoreSource
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
 

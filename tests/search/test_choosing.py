@@ -6,11 +6,11 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.physics.layout import Layout, Poses
-from neoworld_mjx.refinement import choosing
-from neoworld_mjx.refinement.algorithm import Scores
-from neoworld_mjx.refinement.choosing import choose_winner, rank_candidates
-from neoworld_mjx.refinement.evaluation import Round
-from neoworld_mjx.refinement.finishing import finish
+from neoworld_mjx.search import choosing
+from neoworld_mjx.search.algorithm import Scores
+from neoworld_mjx.search.choosing import choose_winner, rank_candidates
+from neoworld_mjx.search.evaluation import Round
+from neoworld_mjx.search.finishing import finish
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene

@@ -9,8 +9,8 @@ from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import passes
-from neoworld_mjx.refinement import final_alignment
-from neoworld_mjx.refinement.final_alignment import FinalAlignment, align_final
+from neoworld_mjx.search import final_alignment
+from neoworld_mjx.search.final_alignment import FinalAlignment, align_final
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.estimate import desk

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.refinement import rewards
+from neoworld_mjx.search import rewards
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene

@@ -7,8 +7,8 @@ import pytest
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.refinement.cem import CEM, open_cem
-from neoworld_mjx.refinement.optimizer import (
+from neoworld_mjx.search.cem import CEM, open_cem
+from neoworld_mjx.search.optimizer import (
     OPTIMIZERS,
     Optimizer,
     optimizer_factory,
@@ -40,7 +40,7 @@ def test_random_search_always_draws_from_the_initial_gaussian(scene):
 
 def test_names_and_paths_open_an_optimizer(scene):
     assert optimizer_factory("cem") is open_cem is OPTIMIZERS["cem"]
-    assert optimizer_factory("neoworld_mjx.refinement.cem:open_cem") is open_cem
+    assert optimizer_factory("neoworld_mjx.search.cem:open_cem") is open_cem
     assert optimizer_factory(f"{__name__}:opened_with")(scene, OPTIONS) == (scene, OPTIONS)
 
 
@@ -48,7 +48,7 @@ def opened_with(scene, options):
     return scene, options
 
 
-@pytest.mark.parametrize("name", ["cme", "no.module:function", "neoworld_mjx.refinement.cem:no"])
+@pytest.mark.parametrize("name", ["cme", "no.module:function", "neoworld_mjx.search.cem:no"])
 def test_an_unknown_optimizer_is_named(scene, name):
     with pytest.raises(ConfigError, match=f"refine.optimizer: .*{name.rpartition(':')[2]}"):
         optimizer_factory(name)

@@ -81,7 +81,7 @@ class Judgement(BaseModel):
 @cache
 def system_text() -> str:
     """Return the critic's system text."""
-    return resources.files("neoworld_mjx.refinement").joinpath("scorer.md").read_text("utf-8")
+    return resources.files("neoworld_mjx.search").joinpath("scorer.md").read_text("utf-8")
 
 
 def score_request(photo: Picture, candidate: Picture, scene: SceneSpec) -> Request[Judgement]:

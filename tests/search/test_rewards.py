@@ -16,9 +16,9 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.physics.visibility import as_parsed
-from neoworld_mjx.refinement import rewards
-from neoworld_mjx.refinement.algorithm import evaluate, open_problem
-from neoworld_mjx.refinement.problem import open_terms
+from neoworld_mjx.search import rewards
+from neoworld_mjx.search.algorithm import evaluate, open_problem
+from neoworld_mjx.search.problem import open_terms
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout

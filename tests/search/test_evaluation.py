@@ -9,9 +9,9 @@ from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
-from neoworld_mjx.refinement.algorithm import evaluate, open_problem
-from neoworld_mjx.refinement.evaluation import CLOCKS, Evaluation, early_stop_rule
-from neoworld_mjx.refinement.finishing import compile_for_search, finish
+from neoworld_mjx.search.algorithm import evaluate, open_problem
+from neoworld_mjx.search.evaluation import CLOCKS, Evaluation, early_stop_rule
+from neoworld_mjx.search.finishing import compile_for_search, finish
 from neoworld_mjx.spec import world_poses
 from tests.support.scenes import noisy_layouts, stored_scene
 

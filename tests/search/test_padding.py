@@ -12,10 +12,10 @@ from neoworld_mjx.physics.placed import measure_settled
 from neoworld_mjx.physics.scene_arrays import (
     pad_scene,
 )
-from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.algorithm import evaluate, open_problem
-from neoworld_mjx.refinement.cem import open_cem
-from neoworld_mjx.refinement.evaluation import pad_rollout
+from neoworld_mjx.search import refine
+from neoworld_mjx.search.algorithm import evaluate, open_problem
+from neoworld_mjx.search.cem import open_cem
+from neoworld_mjx.search.evaluation import pad_rollout
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene

@@ -11,9 +11,9 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import OPTIMIZERS, Term, algorithm, refine
-from neoworld_mjx.refinement.algorithm import Scores
-from neoworld_mjx.refinement.optimizer import from_evosax
+from neoworld_mjx.search import OPTIMIZERS, Term, algorithm, refine
+from neoworld_mjx.search.algorithm import Scores
+from neoworld_mjx.search.optimizer import from_evosax
 from tests.support.scenes import compile_scene, stored_scene
 
 SMALL = {

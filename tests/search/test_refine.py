@@ -12,7 +12,7 @@ from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.refinement import refine
+from neoworld_mjx.search import refine
 from neoworld_mjx.spec import Box, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes

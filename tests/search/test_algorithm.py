@@ -8,7 +8,7 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.refinement.algorithm import (
+from neoworld_mjx.search.algorithm import (
     Scores,
     converged,
     init,
@@ -17,7 +17,7 @@ from neoworld_mjx.refinement.algorithm import (
     propose,
     update,
 )
-from neoworld_mjx.refinement.rewards import Term
+from neoworld_mjx.search.rewards import Term
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 

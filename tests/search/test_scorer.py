@@ -15,8 +15,9 @@ from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Panel, Picture, Tape
 from neoworld_mjx.mllm.anthropic import Anthropic
 from neoworld_mjx.mllm.replay import Replay
-from neoworld_mjx.refinement import scorer as module
-from neoworld_mjx.refinement.scorer import (
+from neoworld_mjx.render import render_plain
+from neoworld_mjx.search import scorer as module
+from neoworld_mjx.search.scorer import (
     CRITERIA,
     PICTURE_PX,
     Judgement,
@@ -26,7 +27,6 @@ from neoworld_mjx.refinement.scorer import (
     score_request,
     system_text,
 )
-from neoworld_mjx.render import render_plain
 from tests.support import scenes
 from tests.support.messages import MessagesServer, judged, levels_of
 from tests.support.scenes import compile_scene

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import CEMOptions
-from neoworld_mjx.refinement import open_cem
+from neoworld_mjx.search import open_cem
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
