@@ -26,13 +26,12 @@ if TYPE_CHECKING:
     from .physics.model import load_scene as load_scene
     from .pipeline import reconstruct as reconstruct
     from .pipeline.given_evidence import read_evidence as read_evidence
-    from .refinement import algorithm, rewards
-    from .refinement.algorithm import Problem as Problem
-    from .refinement.cem import CEM as CEM
-    from .refinement.cem import CEMParams as CEMParams
-    from .refinement.cem import CEMState as CEMState
-    from .refinement.rewards import Term as Term
-    from .refinement.scene_refinement import refine as refine
+    from .search import algorithm, rewards
+    from .search.algorithm import Problem as Problem
+    from .search.cem import CEM as CEM
+    from .search.cem import CEMState as CEMState
+    from .search.rewards import Term as Term
+    from .search.scene_refinement import refine as refine
     from .sweeps.run import ablate as ablate
     from .sweeps.run import sweep as sweep
 
@@ -41,19 +40,18 @@ __version__ = "0.2.0"
 share_gpu_memory()  # Must precede the initialization of JAX.
 
 _LOCATIONS = {
-    "CEM": "refinement.cem",
-    "CEMParams": "refinement.cem",
-    "CEMState": "refinement.cem",
+    "CEM": "search.cem",
+    "CEMState": "search.cem",
     "DepthImage": "evidence.depth_image",
     "Evidence": "evidence.evidence",
     "Gripper": "physics.gripper",
     "KnownCamera": "evidence.known_camera",
     "Layout": "physics.layout",
     "Masks": "evidence.masks",
-    "Problem": "refinement.algorithm",
+    "Problem": "search.algorithm",
     "ResetNoise": "environments.controlled_scene",
     "SceneModel": "physics.model",
-    "Term": "refinement.rewards",
+    "Term": "search.rewards",
     "ablate": "sweeps.run",
     "gym_env": "environments.gym_environment",
     "load_scene": "physics.model",
@@ -62,19 +60,18 @@ _LOCATIONS = {
     "mjx_step": "physics.mjx_model",
     "read_evidence": "pipeline.given_evidence",
     "reconstruct": "pipeline",
-    "refine": "refinement.scene_refinement",
+    "refine": "search.scene_refinement",
     "rollout": "physics.engine",
     "sweep": "sweeps.run",
 }
 _MODULES = {
-    "algorithm": "refinement.algorithm",
+    "algorithm": "search.algorithm",
     "measure": "measure",
-    "rewards": "refinement.rewards",
+    "rewards": "search.rewards",
 }
 
 __all__ = [
     "CEM",
-    "CEMParams",
     "CEMState",
     "DepthImage",
     "Evidence",

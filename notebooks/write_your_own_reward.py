@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from neoworld_mjx.config import load_config
-from neoworld_mjx.refinement import refine
+from neoworld_mjx.search import refine
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec, SceneObject, SceneSpec
 
 # %% [markdown]

@@ -33,7 +33,7 @@ flag and the next ones, 2.7 s with them."""
 FLAGS_BEFORE = {(0, 11, 1): " --xla_cpu_use_fusion_emitters=false"}
 """Flags that jaxlib no longer knows from a version on; XLA ends the process at an unknown one."""
 LONG = (
-    *("refinement", "bench", "test_pipeline", "kernels", "physics", "sweeps"),
+    *("search", "bench", "test_pipeline", "kernels", "physics", "sweeps"),
     *(
         "test_recipes",
         "notebooks",

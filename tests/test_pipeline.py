@@ -21,7 +21,7 @@ from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.evidence.stored import evidence_files
 from neoworld_mjx.measure import measured
 from neoworld_mjx.pipeline import place, reconstruct, refine_again
-from neoworld_mjx.refinement.final_alignment import FinalAlignment
+from neoworld_mjx.search.final_alignment import FinalAlignment
 from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from tests.support.example_figures import check_figures
 from tests.support.notebooks import run_small
@@ -196,7 +196,7 @@ def test_the_readme_example_runs(example_run, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert printed.startswith("Result('out': ")
     assert "objects: table, saucer, cup, spoon" in printed
-    assert np.isfinite(names["again"].history["absolute"].max())
+    assert np.isfinite(names["again"].history["reward"].max())
 
 
 def test_the_quickstart_notebook_runs_on_an_existing_run(example_run, photo, tmp_path):

@@ -16,7 +16,7 @@ RECIPES = dict(
 )
 BLOCK = re.compile(r'```(?:python|yaml) title="([\w.]+)"\n(.*?)```', re.S)
 SEARCH = {
-    "cem": {"population": 8, "iterations": 2, "patience": 9, "hold_resting": False},
+    "cem": {"population": 8, "iterations": 2, "stop_gain": 0, "hold_resting": False},
     "settle": {"enabled": False},
     "rollout": {"duration_s": 0.2, "engine": "native"},
     "check_duration_s": 0.1,
@@ -120,7 +120,7 @@ def test_the_architecture_page_names_what_there_is():
     for row in table.splitlines()[2:]:
         _, _, places, code = row.split("|")[1:-1]
         files = re.findall(r"`([\w/]+\.py)", places)
-        folders = (root / "neoworld_mjx" / "refinement", root / "neoworld_mjx")
+        folders = (root / "neoworld_mjx" / "search", root / "neoworld_mjx")
         paths = [folder / file for file in files for folder in folders]
         source = "".join(path.read_text(encoding="utf-8") for path in paths if path.exists())
         lines = [line.strip() for line in source.splitlines()]

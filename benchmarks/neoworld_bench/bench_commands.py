@@ -70,7 +70,7 @@ class SuiteCommand:
     def run(self) -> CommandResult:
         """Run the suite, and add its name, the command and `provenance` to the result."""
         from neoworld_mjx.cache import keep_compilations
-        from neoworld_mjx.refinement.optimizer import optimizer_factory
+        from neoworld_mjx.search.optimizer import optimizer_factory
 
         from .machine import provenance
 

@@ -14,9 +14,9 @@ problem = nw.algorithm.open_problem(scene, options)
 state = nw.algorithm.init(problem, seed=0)
 
 for t in range(ITERATIONS):
-    layouts = nw.algorithm.propose(scene, problem, state, POPULATION)
+    layouts = nw.algorithm.propose(problem, state, POPULATION)
     rollout = nw.rollout(scene, layouts, duration=0.3, engine="native")
     scores = nw.algorithm.evaluate(scene, problem, layouts, rollout)
-    state = nw.algorithm.update(scene, problem, state, layouts, scores)
-    best = float(np.max(scores.absolute))
-    print(f"iteration {t + 1}: best {best:.3f}, elites {float(state.elite_mean):.3f}")
+    state = nw.algorithm.update(problem, state, layouts, scores)
+    best = float(np.max(scores.reward))
+    print(f"iteration {t + 1}: best {best:.3f}, {int(np.sum(scores.valid))} valid")

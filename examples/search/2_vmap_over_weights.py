@@ -11,12 +11,13 @@ from neoworld_mjx.sweeps import case
 
 WEIGHTS, POPULATION, ITERATIONS = (0.0, 1.0, 4.0), 16, 3
 scene = compile_scene(case("crowded:3").scene)
-options = [RefineOptions.model_validate({"reward": {"w_drift": w}}) for w in WEIGHTS]
+given = [{"reward": {"w_drift": w}, "cem": {"widest": 1}} for w in WEIGHTS]
+options = [RefineOptions.model_validate(o) for o in given]
 problems = nw.algorithm.stack([nw.algorithm.open_problem(scene, o) for o in options])
 states = eqx.filter_vmap(nw.algorithm.init)(problems)
-propose = eqx.filter_vmap(lambda p, s: nw.algorithm.propose(scene, p, s, POPULATION))
+propose = eqx.filter_vmap(lambda p, s: nw.algorithm.propose(p, s, POPULATION))
 evaluate = eqx.filter_vmap(lambda p, z, r: nw.algorithm.evaluate(scene, p, z, r))
-update = eqx.filter_vmap(lambda *run: nw.algorithm.update(scene, *run))
+update = eqx.filter_vmap(nw.algorithm.update)
 
 for _ in range(ITERATIONS):
     layouts = propose(problems, states)  # [weight, candidate, object, ...]

@@ -31,5 +31,5 @@ refined = nw.refine(
     terms=[nw.Term("calm", calm, weight=2.0), nw.Term("apart", apart, weight=1.0)],
 )
 print(f"{refined.rollouts} rollouts, passed: {refined.passed}")
-print(f"apart by {30 * refined.delivered['apart']:.0f} mm or more")
-print(f"peak speed of the delivered scene: {-refined.delivered['calm']:.4f} m/s")
+print(f"apart by {30 * refined.scores['apart']:.0f} mm or more")
+print(f"peak speed of the winner: {-refined.scores['calm']:.4f} m/s")

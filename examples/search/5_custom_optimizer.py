@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import neoworld_mjx as nw
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.cem import draw, initial_sigma
+from neoworld_mjx.search.cem import draw, initial_sigma
 from neoworld_mjx.sweeps import case
 
 
@@ -20,10 +20,9 @@ class HillClimbing(eqx.Module):
     def ask(self, key, state, population):
         return draw(key, state[0], self.sigma, population)
 
-    def tell(self, state, layouts, reward, **more):
-        absolute = more["absolute"]  # comparable between iterations, as reward may not be
-        k = jnp.argmax(absolute)
-        new = jax.tree.map(lambda leaf: leaf[k][None], layouts), absolute[k]
+    def tell(self, state, layouts, reward, **_):
+        k = jnp.argmax(reward)
+        new = jax.tree.map(lambda leaf: leaf[k][None], layouts), reward[k]
         return jax.tree.map(lambda a, b: jnp.where(new[1] > state[1], a, b), new, state)
 
 

@@ -25,7 +25,7 @@ def objective(trial):
     rewards = []
     for step, scene in enumerate(SCENES):
         found = nw.sweep({"scenes": [scene], "seeds": 2, "base": BASE, "axes": axes})
-        rewards += [row["candidate_reward"] for row in found.rows]
+        rewards += [row["reward"] for row in found.rows]
         trial.report(statistics.mean(rewards), step)
         if trial.should_prune():
             raise optuna.TrialPruned

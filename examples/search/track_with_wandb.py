@@ -21,7 +21,7 @@ with wandb.init(project="neoworld", name="crowded:3", config=OPTIONS.model_dump(
 
     def log(step):
         """Log an iteration; a callback that returns True ends the search."""
-        values = {"best": step.best, "mean": step.mean, "merit": step.merit, "valid": step.valid}
+        values = {"best": step.best, "mean": step.mean, "valid": step.valid}
         known = {name: value for name, value in (values | step.terms).items() if value is not None}
         run.log(known, step=step.number)
 

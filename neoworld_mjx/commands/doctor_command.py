@@ -76,7 +76,7 @@ COMPONENTS = (
     ),
     Component(
         *("extra baselines", _installed("evosax")),
-        "no refine.optimizer cma_es or evosax:STRATEGY",
+        "no refine.optimizer evosax:STRATEGY",
         "uv sync --inexact --extra baselines",
     ),
     Component(

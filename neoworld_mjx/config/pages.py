@@ -40,14 +40,12 @@ declarations in `neoworld_mjx/config/`.
 Three differences have no option:
 
 - MuJoCo replaces Isaac Sim.
-- Valid candidates rank before invalid candidates, even if these have a higher reward. Among valid
-  candidates, those closer to the photograph rank first.
+- Valid candidates rank before invalid candidates, even if these have a higher reward.
 - Before the final check, the returned scene is settled. If settling is disabled, its objects are
   snapped exactly onto their supports.
 
-The effects that were measured are in [decisions](decisions.md). The plans
-`configs/ablations/refine.yaml` and `configs/ablations/differences.yaml` measure the options of the
-search.
+The effects that were measured are in [decisions](decisions.md). The plan
+`configs/ablations/refine.yaml` measures the options of the search.
 
 | option | default | paper | reason |
 |---|---|---|---|

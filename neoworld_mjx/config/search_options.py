@@ -42,68 +42,31 @@ class CEMOptions(Options):
     )
     widest: float = option(
         8.0,
-        "Upper limit of a factor that multiplies the standard deviations of an object. The factor "
-        "doubles in every iteration in which the object rests in no candidate; for yaw and scale "
-        "it is at most 1. The search ends if an object rests in no candidate although its factor "
-        "is at the limit, unless a candidate has been valid. `credit: scene` disables the rule.",
+        "The Gaussian of an object is fitted to the best candidates in which the object rests. "
+        "While it rests in none, its standard deviations of x and y double in every iteration, up "
+        "to this multiple of the initial ones. 1 disables both, as in Algorithm 1: all objects are "
+        "fitted to the same candidates.",
         ge=1,
         le=1000,
         difference=PaperDifference(
             1.0,
-            "If an object is next to its support, samples from too narrow a Gaussian never reach "
-            "the support.",
-        ),
-    )
-    sigma_floor: float = option(
-        0.02,
-        "Minimum standard deviation, as a fraction of the initial standard deviation.",
-        ge=0,
-        difference=PaperDifference(
-            0.0,
-            "Otherwise, if the elites agree in a variable, its value cannot change in the rest of "
-            "the search.",
-        ),
-    )
-    smoothing: float = option(
-        0.0,
-        "Weight of the previous mean and standard deviation in an update; Algorithm 1 uses 0.",
-        ge=0,
-        lt=1,
-    )
-    zero_candidate: bool = option(
-        True,
-        "Include the mean of the Gaussian as a candidate. In the first iteration, this is the "
-        "initial layout.",
-        difference=PaperDifference(False, "A valid initial layout should be accepted immediately."),
-    )
-    credit: Literal["scene", "object"] = option(
-        "object",
-        "Reward that selects the elites until a candidate is valid. scene: the reward of the whole "
-        "scene, for all objects. object: a separate reward for each object, from the terms that "
-        "involve the object, among the candidates in which it rests.",
-        difference=PaperDifference(
-            "scene",
-            "In a scene of many objects, hardly any candidate is good for all objects.",
+            "In a scene of many objects, hardly any candidate is good for all; and samples from "
+            "too narrow a Gaussian never reach a support that is beside the object.",
         ),
     )
     stop_by: Literal["best", "elites"] = option(
         "best",
-        "Quantity whose gain decides when the search stops. best: the merit of the best valid "
-        "candidate so far. elites: the mean absolute reward of the elites, as in Algorithm 1.",
+        "Quantity whose gain decides when the search stops. best: the reward of the best valid "
+        "candidate so far. elites: the mean reward of the elites, as in Algorithm 1.",
         difference=PaperDifference(
             "elites", "The result is the best candidate; the mean of the elites does not matter."
         ),
     )
     stop_gain: float = option(
         0.005,
-        "Gain in the quantity of `stop_by` below which an iteration counts toward `patience`.",
+        "Gain of the quantity of `stop_by` over the previous iteration below which the search "
+        "ends. 0 runs all iterations.",
         ge=0,
-    )
-    patience: int = option(
-        1,
-        "Number of consecutive iterations with a gain below `stop_gain` that end the search; "
-        "Algorithm 1 uses 1.",
-        ge=1,
     )
 
 
@@ -127,33 +90,22 @@ class RewardOptions(Options):
     )
     normalisation: Literal["iteration", "fixed"] = option(
         "fixed",
-        "Normalization of D_pen and D_drift. iteration: by their ranges over the candidates of an "
-        "iteration. fixed: by `d_pen_cap_m` and `d_drift_cap`.",
+        "Normalization of D_pen and D_drift, which enter the reward as D / (D + scale). fixed: "
+        "none further. iteration: for the choice of the elites, their ranges over the candidates "
+        "of an iteration are mapped to [0, 1].",
         difference=PaperDifference(
-            "iteration",
-            "Rewards are comparable between iterations, and their bounds are known before physics.",
+            "iteration", "Rewards are comparable between iterations, and so are their elites."
         ),
     )
-    d_pen_cap_m: float = option(0.005, "Value at which D_pen is clipped.", unit="m", gt=0)
-    d_drift_cap: float = option(
+    d_pen_scale_m: float = option(
+        0.005, "Scale of D_pen, at which it costs half of its weight.", unit="m", gt=0
+    )
+    d_drift_scale: float = option(
         3.0,
-        "Value at which D_drift is clipped; 3 is 3 cm or 15 degrees. A small cap keeps the "
-        "difference between valid and nearly valid candidates large compared with the difference "
-        "between two bad candidates.",
+        "Scale of D_drift, at which it costs half of its weight; 3 is 3 cm or 15 degrees. A "
+        "rollout that stops early ends at this drift of an object.",
         unit="max_drift_m or max_tilt_deg",
         gt=0,
-    )
-    drift_free: float = option(
-        0.1,
-        "Drift of an object that costs nothing; 0.1 is 1 mm or 0.5 degrees. Stable objects move by "
-        "about this much when they settle.",
-        unit="max_drift_m or max_tilt_deg",
-        ge=0,
-        difference=PaperDifference(
-            0.0,
-            "All objects move slightly when they settle, which should not penalize valid "
-            "candidates.",
-        ),
     )
     terms: dict[str, float] = option(
         {},
@@ -185,7 +137,7 @@ class RolloutOptions(Options):
     early_stop: bool = option(
         True,
         "End the rollout of a candidate as soon as its objects have settled, linger beyond the "
-        "stability bounds, or have drifted beyond the cap.",
+        "stability bounds, or have drifted by `reward.d_drift_scale`.",
         difference=PaperDifference(
             False, "Most candidates settle or fail long before the end of the rollout."
         ),
@@ -219,8 +171,8 @@ class SemanticOptions(Options):
     )
     timeout_s: float = option(
         90.0,
-        "Time after a request until which an iteration waits for a score. A score that arrives "
-        "later counts from the iteration in which it arrives.",
+        "Time after a request until which an iteration waits for a score. A later score does not "
+        "count.",
         unit="s",
         ge=0,
     )
@@ -258,10 +210,9 @@ class RefineOptions(Options):
 
     optimizer: str = option(
         "cem",
-        "Optimizer: cem, random, cma_es, evosax:STRATEGY such as evosax:SNES, or the import path "
+        "Optimizer: cem, random, evosax:STRATEGY such as evosax:CMA_ES, or the import path "
         '"package.module:function" of a function that builds an optimizer from the scene and the '
-        "options `cem`. STRATEGY is distribution-based. cma_es and evosax require the extra "
-        "`baselines`.",
+        "options `cem`. STRATEGY is distribution-based; evosax is in the extra `baselines`.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()
@@ -284,24 +235,11 @@ class RefineOptions(Options):
     )
     max_depth_m: float = option(
         0.001,
-        "Maximum penetration depth in a valid candidate and in the final check, and scale of D_pen "
-        "in the absolute reward, which is comparable between iterations.",
+        "Maximum penetration depth in a valid candidate and in the final check.",
         unit="m",
         gt=0,
     )
     settle: SettleOptions = SettleOptions()
-    merit: Literal["fidelity", "absolute"] = option(
-        "fidelity",
-        "Value that ranks valid candidates, and whose gain `cem.stop_by: best` tests. All other "
-        "candidates rank behind the valid candidates, by absolute reward. fidelity: the absolute "
-        "reward without D_pen and D_drift, minus a cost of displacement by settling. absolute: the "
-        "absolute reward.",
-        difference=PaperDifference(
-            "absolute",
-            "In valid candidates, penetration and drift are hardly larger than what settling "
-            "leaves.",
-        ),
-    )
     finalists: int = option(
         4,
         "Maximum number of candidates whose final scenes are checked, best first.",

@@ -14,15 +14,17 @@ import numpy as np
 from jaxtyping import Array, Float
 from neoworld_kernels import pair_depth, pair_gap
 
+from ..cache import computes_on_cpu
 from ..spec.pose import length
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
 from .scene_arrays import SceneArrays
+from .sharding import over_devices
 from .visibility import Visible, visibility
 
 CPU_CHUNK = 16
-"""Number of candidates measured at once. On CPUs, a single candidate costs as much as such a chunk,
-and larger chunks are no faster."""
+"""Number of candidates measured at once on CPUs, where a single candidate costs as much as such a
+chunk, and larger chunks are no faster."""
 Out = TypeVar("Out")
 
 
@@ -140,6 +142,8 @@ def _z_axes(quat: Any, xp: Any) -> Any:
 def place_in_chunks(scene: SceneArrays, layouts: Layout) -> Poses:
     """Place candidates in chunks of CPU_CHUNK, so that all populations share a compiled function.
 
+    Accelerators place all candidates at once, sharded over the devices.
+
     Returns:
         Poses, on the host.
     """
@@ -157,6 +161,8 @@ def _in_chunks(
     scene: SceneArrays,
     candidates: Any,
 ) -> Out:
+    if not computes_on_cpu():
+        return jax.device_get(measure(scene, over_devices(candidates)))
     pop = jax.tree.leaves(candidates)[0].shape[0]
     parts: list[Out] = []
     for first in range(0, pop, CPU_CHUNK):

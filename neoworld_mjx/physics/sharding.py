@@ -22,6 +22,19 @@ def put(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
     return jax.device_put(tree, NamedSharding(mesh, spec))
 
 
+def over_devices(tree: Any) -> Any:
+    """Shard arrays [pop, ...] over the local devices, or return them unchanged.
+
+    They are unchanged on a single device, if `jax.default_device` is set, and if the population is
+    not a multiple of the number of devices.
+    """
+    chosen = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    mesh = device_mesh(jax.local_devices() if chosen is None else [chosen])
+    if mesh is None or len(jax.tree.leaves(tree)[0]) % mesh.size:
+        return tree
+    return put(tree, mesh, SHARDED)
+
+
 def map_shards(fn: Callable[..., Any], mesh: Mesh | None, *specs: Any) -> Callable[..., Any]:
     """Return a function that calls `fn` on every device with that device's part of the arguments.
 

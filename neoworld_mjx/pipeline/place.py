@@ -26,8 +26,8 @@ from ..mllm import Panel, Picture
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
 from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
-from ..refinement.final_alignment import FinalAlignment, align_final
-from ..refinement.scene_refinement import Refined, refine
+from ..search.final_alignment import FinalAlignment, align_final
+from ..search.scene_refinement import Refined, refine
 from ..spec import ObjectSpec, SceneSpec, SceneTree
 
 

@@ -231,8 +231,8 @@ def refuse_code(config: Config, source: str) -> None:
     Raises:
         ConfigError: a reward term or the optimizer is named by its import path.
     """
-    from ..refinement.objective import TERMS
-    from ..refinement.optimizer import OPTIMIZERS
+    from ..search.optimizer import OPTIMIZERS
+    from ..search.problem import TERMS
 
     code_names = [name for name in config.refine.reward.terms if name not in TERMS]
     code_names += [config.refine.optimizer] * (config.refine.optimizer not in OPTIMIZERS)

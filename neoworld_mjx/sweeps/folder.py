@@ -10,7 +10,7 @@ from ..io import parquet_files, read_object
 from ..io.files import write_output
 from ..run_folder import LOCK, lock_folder, refuse_links
 from .plan import plain_value
-from .runs import CANDIDATE, COLUMNS, ITERATION_COLUMNS, KEYS, TERM, Key, Row
+from .runs import COLUMNS, ITERATION_COLUMNS, KEYS, TERM, Key, Row
 
 RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
 """Names of the files of the rows, of their iterations, and of the description of the sweep."""
@@ -192,8 +192,7 @@ def row_key(row: Mapping[str, Any]) -> Key:
 
 def term_columns(rows: Sequence[Row]) -> list[str]:
     """Return the columns of the reward terms that not every run has, in their order in the rows."""
-    prefixes = (TERM, CANDIDATE + TERM)
-    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(prefixes)))
+    return list(dict.fromkeys(name for row in rows for name in row if name.startswith(TERM)))
 
 
 def _write_parquet(path: Path, rows: Sequence[Row], column_types: Mapping[str, type]) -> None:

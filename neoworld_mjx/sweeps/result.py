@@ -45,7 +45,6 @@ TABLE_COLUMNS = (
     TableColumn("passed", "passed, %", 100.0, 1),
     TableColumn("valid", "valid, %", 100.0, 1),
     TableColumn("reward", "reward"),
-    TableColumn("merit", "merit"),
     TableColumn("d_pen_m", "D_pen, mm", 1e3),
     TableColumn("d_drift", "D_drift"),
     TableColumn("s_sem", "S_sem"),

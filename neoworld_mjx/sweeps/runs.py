@@ -1,7 +1,7 @@
 """One run of a sweep: the scene, its refinement with the options of a point, and its row."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,9 +13,9 @@ from ..physics.engine import open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.native import NativeEngine
-from ..refinement.finishing import compile_for_search
-from ..refinement.loop import Iteration
-from ..refinement.scene_refinement import Refined, read_composed, refine
+from ..search.finishing import compile_for_search
+from ..search.loop import Iteration
+from ..search.scene_refinement import Refined, read_composed, refine
 from ..spec import SceneSpec
 from .plan import Point
 
@@ -28,17 +28,15 @@ KEYS: dict[str, type] = {"scene": str, "point": str, "seed": int}
 """Columns that identify a run."""
 TERM_COLUMNS = {"d_pen": "d_pen_m", "d_drift": "d_drift", "s_sem": "s_sem", "prior": "prior"}
 """Columns of the reward terms that every run has, by the name of the term."""
-TERM, CANDIDATE = "term_", "candidate_"
-"""Prefixes of the columns of further reward terms, and of values of the winning candidate."""
+TERM = "term_"
+"""Prefix of the columns of further reward terms."""
 _TERMS: dict[str, type] = dict.fromkeys(TERM_COLUMNS.values(), float)
 
 COLUMNS: dict[str, type] = {
     "valid": bool,
     "passed": bool,
     "reward": float,
-    "merit": float,
     **_TERMS,
-    **{CANDIDATE + name: float for name in ("reward", "merit", *_TERMS)},
     "iterations": int,
     "rollouts": int,
     "iterations_to_valid": int,
@@ -59,10 +57,7 @@ COLUMNS: dict[str, type] = {
 """Columns of a run. A value is None if it does not apply to the run.
 
 - `passed`, `max_depth_m`, `max_drift_m` and `max_tilt_deg`: result and measures of the final check.
-- `reward` (the absolute reward), `merit` and the terms: values of the delivered scene, which is the
-  settled winner.
-- `candidate_*` and `valid`: values of the winning candidate, by which the search ranked it, and
-  whether it was valid.
+- `valid`, `reward` and the terms: values of the winning candidate, by which the search ranked it.
 - `xy_error_m`, `yaw_error_deg`, `scale_error` and `box_iou`: errors of the delivered scene, if the
   scene has ground truth. `box_iou` compares visible boxes with the parsed boxes.
 - `iterations_to_valid` and `rollouts_to_valid`: iterations and rollouts up to the end of the first
@@ -76,7 +71,6 @@ ITERATION_COLUMNS: dict[str, type] = {
     "iteration": int,
     "rollouts": int,
     "best": float,
-    "merit": float,
     "mean": float,
     "valid": float,
     **_TERMS,
@@ -86,9 +80,8 @@ ITERATION_COLUMNS: dict[str, type] = {
 - `iteration`: number of the iteration, counted from 1. With settling, the first one is the initial
   layout.
 - `rollouts`: number of rollouts so far.
-- `best`: best absolute reward so far.
-- `merit`: largest merit of a valid candidate so far.
-- `mean`: mean absolute reward of the candidates that did not fail.
+- `best`: best reward so far.
+- `mean`: mean reward of the candidates that did not fail.
 - `valid`: fraction of the candidates that are valid.
 - The terms, and a column for each further reward term: values of the iteration's best candidate.
 """
@@ -166,11 +159,11 @@ def compute(run: Run) -> Iterator[Row]:
     refined = refine(
         model, options, seed=run.seed, start=start, engine=engine, on_iteration=on_iteration
     )
-    first = refined.first_valid
-    to_valid_s = None
+    first = next((k for k, step in enumerate(iterations) if step.valid), None)
+    to_valid_s = rollouts = None
     if first is not None:
-        number = [iteration.number for iteration in iterations].index(first.iteration)
-        to_valid_s = max(refined.seconds["to_valid"] - compile_s[number], 0.0)
+        to_valid_s = max(refined.seconds["to_valid"] - compile_s[first], 0.0)
+        rollouts = sum(step.candidates for step in iterations[: first + 1])
     yield {
         "scene": run.case.name,
         "point": run.point.label,
@@ -180,8 +173,8 @@ def compute(run: Run) -> Iterator[Row]:
         **_score_columns(refined),
         "iterations": refined.iterations,
         "rollouts": refined.rollouts,
-        "iterations_to_valid": None if first is None else first.iteration,
-        "rollouts_to_valid": None if first is None else first.rollouts,
+        "iterations_to_valid": None if first is None else iterations[first].number,
+        "rollouts_to_valid": rollouts,
         "mean_log_scale": refined.mean_log_scale,
         "max_depth_m": refined.measure.max_depth_m,
         "max_drift_m": refined.measure.max_drift_m,
@@ -196,19 +189,13 @@ def compute(run: Run) -> Iterator[Row]:
 
 
 def _score_columns(refined: Refined) -> Row:
-    """Return the scores of the delivered scene and of the winning candidate; None if not finite."""
-    t, k = refined.winner
-    candidate: Mapping[str, Any] = {}
-    if t >= 0:
-        candidate = {name: x[t, k] for name, x in refined.history.items() if x.ndim == 2}
-    columns = {"reward": "absolute", "merit": "merit"}
-    names = map(str, refined.history["term_names"])
-    columns |= {TERM_COLUMNS.get(name, TERM + name): name for name in names}
-    row: Row = {"valid": bool(candidate.get("valid", False))}
-    for prefix, values in (("", refined.delivered), (CANDIDATE, candidate)):
-        for column, name in columns.items():
-            value = float(values.get(name, math.nan))
-            row[prefix + column] = value if math.isfinite(value) else None
+    """Return the scores of the winning candidate; None if not finite."""
+    scores = refined.scores
+    row: Row = {"valid": bool(scores.get("valid", False))}
+    for name in ("reward", *map(str, refined.history["term_names"])):
+        value = scores.get(name, math.nan)
+        column = name if name == "reward" else TERM_COLUMNS.get(name, TERM + name)
+        row[column] = value if math.isfinite(value) else None
     return row
 
 
@@ -225,18 +212,15 @@ def _error_columns(case: Case, scene: SceneSpec) -> Row:
 def _iteration_rows(iterations: list[Iteration]) -> list[Row]:
     rows: list[Row] = []
     best: list[float] = []
-    merit: list[float] = []
     rollouts = 0
     for number, step in enumerate(iterations, start=1):
         rollouts += step.candidates
         best += [] if step.best is None else [step.best]
-        merit += [] if step.merit is None else [step.merit]
         rows.append(
             {
                 "iteration": number,
                 "rollouts": rollouts,
                 "best": max(best, default=None),
-                "merit": max(merit, default=None),
                 "mean": step.mean,
                 "valid": step.valid / max(step.candidates, 1),
                 **{TERM_COLUMNS.get(name, name): value for name, value in step.terms.items()},

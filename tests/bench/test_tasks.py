@@ -311,7 +311,7 @@ def test_feedback_moves_the_named_objects_until_the_plan_succeeds():
     assert named_objects(TASK.predicate) == {"upper", "lower"}
     wrong = with_moved(TASK, ("lower",), (0.015, -0.015))
     assert not execute(wrong, TASK.plan, TASK.predicate).success
-    options = CEMOptions(population=10, iterations=5, elite_ratio=0.25, smoothing=0.2)
+    options = CEMOptions(population=10, iterations=5, elite_ratio=0.25)
     result = refine_by_outcome(wrong, TASK.plan, TASK.predicate, options=options)
     assert result.outcome.success and 1 < result.executions <= 72
     assert result.scene.object("peg").xy == pytest.approx(wrong.object("peg").xy)

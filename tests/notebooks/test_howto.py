@@ -10,8 +10,8 @@ import numpy as np
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_in_chunks
-from neoworld_mjx.refinement import refine
-from neoworld_mjx.refinement.objective import evaluate, open_objective
+from neoworld_mjx.search import refine
+from neoworld_mjx.search.algorithm import evaluate, open_problem
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -38,7 +38,7 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
     placed = measure_in_chunks(scene, poses, poses)
 
     def scored(of):
-        return evaluate(scene, layouts, placed, rollout, open_objective(of))
+        return evaluate(scene, open_problem(scene, of), layouts, rollout, placed)
 
     plain = options.model_copy(update={"reward": options.reward.model_copy(update={"terms": {}})})
     with_term, without = scored(options), scored(plain)

@@ -12,8 +12,8 @@ from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
-from neoworld_mjx.refinement.objective import import_function
 from neoworld_mjx.run_folder import FORMAT, RunFolder, run_options
+from neoworld_mjx.search.user_terms import import_function
 from neoworld_mjx.view.report.run_report import write_report
 
 

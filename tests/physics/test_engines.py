@@ -14,7 +14,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine, open_batch
 from neoworld_mjx.physics.recorder import read_states
-from neoworld_mjx.refinement.rewards import drifts
+from neoworld_mjx.search.rewards import drifts
 from neoworld_mjx.spec.pose import from_axis_angle, quat_mul
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout

@@ -58,7 +58,7 @@ np.savez(out, programs=[program.as_text() for program in programs.values()], **s
 """
 
 
-# tests/refinement/test_devices.py runs a search on eight devices.
+# The last test of this file measures candidates on eight devices.
 @pytest.mark.slow
 def test_four_devices_simulate_what_one_does_without_communication(tmp_path):
     out = tmp_path / "rollouts.npz"
@@ -72,3 +72,47 @@ def test_four_devices_simulate_what_one_does_without_communication(tmp_path):
     for program in result["programs"]:
         assert "num_partitions=4" in program
         assert not re.findall(r"= \S+ (all-\w+|collective-permute)", program)
+
+
+SCORING = """
+import sys
+
+import jax
+import numpy as np
+
+from neoworld_mjx.physics import placed
+from tests.support import scenes
+from tests.support.scenes import compile_scene, random_layout
+
+placed.computes_on_cpu = lambda: False
+used, shared = set(), placed.over_devices
+
+
+def noted(tree):
+    tree = shared(tree)
+    used.update(len(x.sharding.device_set) for x in jax.tree.leaves(tree) if hasattr(x, "sharding"))
+    return tree
+
+
+placed.over_devices = noted
+scene, saved = compile_scene(scenes.blocks(), samples=32), {}
+for name, device in (("alone", jax.local_devices()[0]), ("shared", None)):
+    used.clear()
+    with jax.default_device(device):
+        start = jax.device_get(scene.place(random_layout(scene, 16, spread=0.1)))
+        found = placed.measure_in_chunks(scene, start, start)
+    saved |= {f"{name}_depth": found.depth, f"{name}_boxes": found.visible.boxes}
+    saved[f"{name}_used"] = max(used, default=1)
+np.savez(sys.argv[1], **saved)
+"""
+
+
+def test_candidates_are_measured_on_all_devices_as_on_one(tmp_path):
+    out = tmp_path / "found.npz"
+    run_with_devices(8, SCORING, str(out))
+    with np.load(out) as file:
+        found = dict(file)
+    assert (int(found["alone_used"]), int(found["shared_used"])) == (1, 8)
+    assert np.ptp(found["alone_boxes"]) > 1.0
+    np.testing.assert_allclose(found["shared_depth"], found["alone_depth"], atol=1e-6)
+    np.testing.assert_allclose(found["shared_boxes"], found["alone_boxes"], atol=1e-3)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.refinement.scorer import ScoreSource, SemanticScorer
+from neoworld_mjx.search.scorer import ScoreSource, SemanticScorer
 
 
 class ConstantScorer(SemanticScorer):
@@ -15,17 +15,12 @@ class ConstantScorer(SemanticScorer):
     def __init__(self, *_: Any, **__: Any) -> None:
         self.seen: list[Any] = []
 
-    def submit(self, iteration: Any, reward: Any, geometric: Any, layouts: Any, poses: Any) -> None:
+    def submit(self, reward: Any, geometric: Any, layouts: Any, poses: Any) -> None:
         self.seen.append(layouts)
 
-    def collect(self, iteration: Any) -> None:
-        pass
-
-    def s_sem_of(self, iteration: Any, geometric: Any) -> Any:
-        return np.full(len(geometric), 0.25), np.full(len(geometric), ScoreSource.SCORED, np.int8)
-
-    def known(self, identity: Any) -> Any:
-        return None
+    def collect(self) -> Any:
+        pop = len(self.seen[-1].yaw)
+        return np.full(pop, 0.25), np.full(pop, ScoreSource.SCORED, np.int8)
 
     def summary(self) -> dict[str, Any]:
         return {"calls": 0}

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from PIL import Image
 
-from neoworld_mjx.refinement.scorer import CRITERIA
+from neoworld_mjx.search.scorer import CRITERIA
 from tests.support.model_server import ModelServer, answer_of, fails, http
 
 Failure = Literal["429", "500", "cut off", "invalid JSON"]

@@ -18,7 +18,7 @@ SIGMA, DRIFT = "refine.cem.sigma_xy", "refine.reward.w_drift"
 def run(point, seed, sigma, drift, reward=0.5, **more):
     steps = [
         {"iteration": t + 1, "rollouts": 8 * (t + 1), "best": reward - 0.1 / (t + 1),
-         "merit": reward, "mean": 0.0, "valid": 0.5,
+         "mean": 0.0, "valid": 0.5,
          "d_pen_m": 1e-3, "d_drift": 0.2, "s_sem": 0.7, "prior": 0.0}
         for t in range(2 + seed)
     ]  # fmt: skip

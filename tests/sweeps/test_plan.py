@@ -54,7 +54,7 @@ def test_custom_terms_are_replaced_as_a_whole():
         ({"refine.cem.sigma_xy": ["wide"]}, "refine.cem.sigma_xy: Input should be a valid number"),
         ({"refine.cem.sigma_xy": [0.1, -1]}, "greater than or equal to 0, got -1"),
         ({"refine.cem.sigma_xy": [1, 1.0]}, "appears twice"),
-        ({"refine.cem.credit": ["nobody"]}, "refine.cem.credit: Input should be"),
+        ({"refine.cem.stop_by": ["nobody"]}, "refine.cem.stop_by: Input should be"),
     ],
 )
 def test_invalid_axes_are_rejected(axes, said):

@@ -86,14 +86,14 @@ def test_a_row_describes_one_refinement(swept):
     for row in result.rows[::3]:  # Both seeds, three of the four points.
         options = settings[row["point"]].options
         one = nw.refine(SCENE.scene, options, seed=row["seed"], engine=NativeEngine())
-        assert row["candidate_reward"] == one.history["absolute"][one.winner]
-        assert row["candidate_merit"] == one.history["merit"][one.winner]
-        assert row["candidate_d_pen_m"] == one.history["d_pen"][one.winner]
-        for column, name in {"reward": "absolute", "merit": "merit", "s_sem": "s_sem"}.items():
-            assert row[column] == one.delivered[name]
+        for column, name in {"reward": "reward", "d_pen_m": "d_pen", "s_sem": "s_sem"}.items():
+            assert row[column] == one.history[name][one.winner] == one.scores[name]
         assert (row["passed"], row["mean_log_scale"]) == (one.passed, one.mean_log_scale)
-        assert row["iterations_to_valid"] == (one.first_valid and one.first_valid.iteration)
-        best = np.maximum.accumulate(one.history["absolute"].max(axis=1))
+        valid = np.flatnonzero(one.history["valid"].any(axis=1))
+        first = None if not len(valid) else int(valid[0]) + 1
+        assert row["iterations_to_valid"] == first
+        assert row["rollouts_to_valid"] == (first and 8 * first)
+        best = np.maximum.accumulate(one.history["reward"].max(axis=1))
         assert [step["best"] for step in row["history"]] == pytest.approx(best)
         assert [step["rollouts"] for step in row["history"]] == [8, 16]
 
@@ -229,11 +229,10 @@ def test_an_ablation_reports_differences(tmp_path):
     rows = read_rows(tmp_path / "a")
     assert [row["variant"] for row in rows[::2]] == ["base", "held", "wider"]
     held, wider = result.differences
-    assert (held["point"], held["n"], held["reward"]["mean"]) == ("held", 2, 0)
-    assert wider["reward"]["mean"] != 0
-    assert wider["reward"]["mean"] == pytest.approx(
-        np.mean([rows[4 + k]["reward"] - rows[k]["reward"] for k in (0, 1)])
-    )
+    assert (held["point"], held["n"]) == ("held", 2)
+    for first, difference in ((2, held), (4, wider)):
+        changes = [rows[first + k]["reward"] - rows[k]["reward"] for k in (0, 1)]
+        assert difference["reward"]["mean"] == pytest.approx(np.mean(changes)) != 0
     assert "## Differences from the base" in (tmp_path / "a" / "table.md").read_text()
 
 

@@ -14,8 +14,8 @@ from neoworld_mjx.config import Config, RefineOptions, load_config
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.measure import scene_checks, scene_measure
 from neoworld_mjx.physics.colliders import snap_exactly
-from neoworld_mjx.refinement import choosing
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
+from neoworld_mjx.search import scene_refinement
 from neoworld_mjx.view import server
 from neoworld_mjx.view.report import search
 from neoworld_mjx.view.report.objects import BOXES, SEARCH, SHAPES, all_moves
@@ -41,7 +41,6 @@ def _history(path, iterations=5, population=16):
     np.savez(
         path,
         reward=absolute,
-        absolute=absolute,
         d_pen=np.abs(draw.normal(size=shape)) * 1e-3,
         d_drift=np.abs(draw.normal(size=shape)),
         s_sem=draw.uniform(size=shape),
@@ -401,13 +400,13 @@ def test_the_iterations_of_a_search_are_listed(tmp_path):
     _history(path, iterations=2, population=8)
     with np.load(path) as data:
         history = {key: data[key] for key in data.files}
-    history["absolute"][:] = np.linspace(0, 0.7, 8)
-    history["status"][0, 3:] = choosing.NOT_SAMPLED
-    history["absolute"][0, 3:] = history["absolute"][1, 0] = -np.inf
+    history["reward"][:] = np.linspace(0, 0.7, 8)
+    history["status"][0, 3:] = scene_refinement.NOT_SAMPLED
+    history["reward"][0, 3:] = history["reward"][1, 0] = -np.inf
     history["valid"][:] = [[True] * 2 + [False] * 6, [True] * 4 + [False] * 4]
     np.savez(path, **history | {"s_sem": np.full((2, 8), 0.625)})
     words = _words(str(convergence(path)))
-    assert search.NOT_SAMPLED == choosing.NOT_SAMPLED
+    assert search.NOT_SAMPLED == scene_refinement.NOT_SAMPLED
     assert "s_sem × 2" in words and "1 0.2000 0.1000 3 2 0" in words
     assert "2 0.7000 0.4000 8 4 1" in words and "0.625" in words
 

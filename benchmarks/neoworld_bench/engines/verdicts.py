@@ -12,7 +12,7 @@ from neoworld_mjx.physics.engine import Rollout, RolloutStatus, record_steps
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.physics.model import FREE, SceneModel
-from neoworld_mjx.refinement.rewards import drifts
+from neoworld_mjx.search.rewards import drifts
 from neoworld_mjx.spec.pose import angle_between
 
 _BOUNDS = RefineOptions()

@@ -19,7 +19,7 @@ from neoworld_mjx.physics.colliders import snap_exactly, start_state
 from neoworld_mjx.physics.engine import Engine
 from neoworld_mjx.physics.settling import at_state, settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
-from neoworld_mjx.refinement.finishing import compile_for_search
+from neoworld_mjx.search.finishing import compile_for_search
 from neoworld_mjx.spec import SceneSpec
 
 from ..noise.initial_scenes import InitialScene
@@ -68,7 +68,6 @@ def algorithm1(o: RefineOptions) -> RefineOptions:
         for part in groups:
             group = group.setdefault(part, {})
         group[name] = option.difference.value
-    values["cem"] |= {"patience": 1}
     return changed(o, values)
 
 

@@ -23,8 +23,8 @@ from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
-from neoworld_mjx.refinement.cem import initial_sigma, open_cem
 from neoworld_mjx.render import View, render
+from neoworld_mjx.search.cem import open_cem
 from neoworld_mjx.spec import SceneSpec, bounds, joint_position, link_poses, world_poses
 from neoworld_mjx.spec.kinematics import welded
 from neoworld_mjx.spec.pose import rotate
@@ -74,13 +74,11 @@ def refine_by_outcome(
     Returns:
         The first candidate that succeeds, else the best.
     """
-    o = options or CEMOptions(population=24, iterations=6, elite_ratio=0.2, smoothing=0.2)
+    o = options or CEMOptions(population=24, iterations=6, elite_ratio=0.2)
     model = compile_scene(scene)
     moves = np.array([name in named_objects(predicate) for name in model.names])
     fixed = replace(model, optimised=jnp.asarray(model.optimised) & moves)
-    sigma = initial_sigma(fixed, o)
-    cem = open_cem(model, o)
-    cem = replace(cem, params=replace(cem.params, sigma=sigma))
+    cem = open_cem(fixed, o)
     state, key = cem.init(), jax.random.key(seed)
     best: tuple[float, SceneSpec, Outcome] | None = None
     executions = 0
@@ -88,7 +86,7 @@ def refine_by_outcome(
         key, now = jax.random.split(key)
         layouts = cem.ask(now, state, o.population)
         poses = model.place(layouts)
-        prior = _prior(layouts, sigma)
+        prior = _prior(layouts, cem.sigma)
         rewards = []
         for k in range(o.population):
             candidate = model.apply(layouts, k, poses)

@@ -22,7 +22,7 @@ def convergence(path: Path) -> Markup:
     """Return the section with rewards, terms and numbers of candidates by iteration.
 
     Args:
-        path: history.npz, with the arrays `absolute`, `valid` and `status` and an array for each
+        path: history.npz, with the arrays `reward`, `valid` and `status` and an array for each
             name in `term_names`, all of shape [iteration, candidate], and `term_weights` [term].
     """
     if not path.exists():
@@ -32,22 +32,22 @@ def convergence(path: Path) -> Markup:
     except RunError as error:
         note = f"refine/history.npz cannot be read: {error}"
         return elements.section(TITLE, elements.missing(note))
-    absolute = history["absolute"]
-    if len(absolute) == 1:
+    reward = history["reward"]
+    if len(reward) == 1:
         note = "The composed scene was accepted; no search was needed."
         return elements.section(TITLE, elements.paragraph(note))
     names = [str(name) for name in history["term_names"]]
     sampled = np.sum(history["status"] != NOT_SAMPLED, axis=1)
     valid = np.sum(history["valid"], axis=1)
-    failed = sampled - np.sum(np.isfinite(absolute), axis=1)
-    best, mean = _over_finite(absolute, np.max), _over_finite(absolute, np.mean)
-    chosen = np.where(np.isfinite(absolute), absolute, -np.inf).argmax(axis=1)
+    failed = sampled - np.sum(np.isfinite(reward), axis=1)
+    best, mean = _over_finite(reward, np.max), _over_finite(reward, np.mean)
+    chosen = np.where(np.isfinite(reward), reward, -np.inf).argmax(axis=1)
     rows = [
         [
             *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", sampled[t], valid[t], failed[t]),
             *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
         ]
-        for t in range(len(absolute))
+        for t in range(len(reward))
     ]
     heads = ["#iteration", "#best reward", "#mean reward", "#sampled", "#valid", "#failed"]
     weights = history["term_weights"]

@@ -1,0 +1,134 @@
+"""Final scenes: what rests, what a search holds, and how bad a failing scene is."""
+
+import numpy as np
+import pytest
+
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.measure import passes
+from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.search import finishing
+from neoworld_mjx.search.finishing import displacement, finish, free_to_move, with_resting_fixed
+from neoworld_mjx.spec import Box, Ellipsoid
+from neoworld_mjx.spec.pose import from_axis_angle
+from tests.support import scenes
+from tests.support.scenes import compile_scene
+
+OPTIONS = RefineOptions(check_duration_s=0.5)
+
+
+def block(name, size=(0.06, 0.06, 0.06)):
+    return scenes.single(name, (Box(size=size), (0, 0, 0)))
+
+
+def towers():
+    """A plate that tips over a block's edge with a cube on it, and a tower that stands."""
+    return scenes.on_table(
+        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, {"parent": "low", "z": 0.06}),
+        (block("cube", (0.02, 0.02, 0.02)), (0.0, 0.0), 0.0, {"parent": "plate", "z": 0.02}),
+        (block("base"), (0.0, -0.25), 0.0, {}),
+        (block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
+        name="towers",
+    )
+
+
+@pytest.fixture(scope="module")
+def initial():
+    model = compile_scene(towers(), samples=16)
+    return model, finish(model, Layout.zero(1, len(model.names)), 0, OPTIONS)
+
+
+def named(model, mask):
+    return {name for name, one in zip(model.names, mask, strict=True) if one}
+
+
+def test_what_fell_does_not_rest(initial):
+    model, found = initial
+    assert not found.passed and {"plate", "cube"} <= set(found.moved_away)
+    assert named(model, found.rests(OPTIONS)) == {"table", "low", "base", "top"}
+
+
+def test_a_search_frees_what_does_not_rest_and_what_it_supports(initial):
+    model, _ = initial
+    rests = np.array([name != "plate" for name in model.names])
+    assert named(model, free_to_move(model.spec, rests)) == {"plate", "cube"}
+    rests = np.array([name != "base" for name in model.names])
+    assert named(model, free_to_move(model.spec, rests)) == {"base", "top"}
+    rests = np.array([name != "table" for name in model.names])
+    assert not free_to_move(model.spec, rests).any()
+
+
+def test_a_candidate_of_a_held_scene_is_finished_with_every_object_free(initial):
+    model, found = initial
+    searched = compile_scene(with_resting_fixed(model.spec, found, OPTIONS), samples=16)
+    xy = np.zeros((1, len(model.names), 2), np.float32)
+    xy[0, model.names.index("plate"), 0] = -0.06
+    zero = np.zeros((1, len(model.names)), np.float32)
+    layouts = Layout(xy, zero, zero)
+    done = finish(model, layouts, 0, OPTIONS, searched.place(layouts), searched)
+    assert done.passed and done.moved_away == () and done.excess_over_bounds(OPTIONS) == 0.0
+    assert done.measure.movable == 5
+    assert all(item.fixed_base is False for item in done.scene.objects)
+    assert done.scene.object("plate").xy[0] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_an_object_on_an_unstable_side_is_taken_from_where_it_falls(monkeypatch):
+    potato = scenes.single("potato", (Ellipsoid(radii=(0.03, 0.02, 0.018)), (0, 0, 0)))
+    on_edge = {"base_tilt": tuple(from_axis_angle((1, 0, 0), np.radians(89.0)).tolist())}
+    model = compile_scene(scenes.on_table((potato, (0, 0), 0.0, on_edge)), samples=16)
+    o, zero = RefineOptions(), Layout.zero(1, 2)
+    measure = finish(model, zero, 0, o).measure
+    assert passes(measure.model_copy(update={"displacement": None}), o)
+    monkeypatch.setattr(finishing, "RELEASES", 0)
+    assert finish(model, zero, 0, o).measure.max_tilt_deg > 45.0
+
+
+def test_each_kind_of_fault_names_its_objects(initial):
+    model, found = initial
+    names = model.names
+    clean = found.measure.model_copy(
+        update={
+            "depths_m": {},
+            "settled_depths_m": {},
+            "drift_m": dict.fromkeys(names[1:], 0.0),
+            "tilt_deg": dict.fromkeys(names[1:], 0.0),
+            "joint_turn_deg": {},
+            "joint_slide_m": {},
+            "diverged": False,
+        }
+    )
+    faulty = lambda away=(), **update: (
+        set(names)
+        - named(
+            model,
+            found._replace(measure=clean.model_copy(update=update), moved_away=away).rests(OPTIONS),
+        )
+    )
+    zero = clean.drift_m
+    assert faulty() == set()
+    assert faulty(depths_m={"low|cube": 2e-3, "base|top": 5e-4}) == {"low", "cube"}
+    assert faulty(settled_depths_m={"base|top": 2e-3}) == {"base", "top"}
+    assert faulty(drift_m=zero | {"top": 0.011}) == {"top"}
+    assert faulty(drift_m=zero | {"top": float("nan")}) == {"top"}
+    assert faulty(tilt_deg=zero | {"cube": 5.1}) == {"cube"}
+    assert faulty(joint_turn_deg={"base-lid": 6.0}) == {"base"}
+    assert faulty(joint_slide_m={"low-tray": 0.02}) == {"low"}
+    assert faulty(joint_slide_m={"low-tray": OPTIONS.max_drift_m}) == {"low"}
+    assert faulty(away=("plate",)) == {"plate"}
+    assert faulty(diverged=True) == set(names[1:])
+
+
+def test_displacement_compares_with_the_placed_poses():
+    model = compile_scene(towers(), samples=16)
+    spec = model.spec
+    shifted = [
+        item.model_copy(update={"xy": (item.xy[0], item.xy[1] + 0.2)})
+        if item.name == "base"
+        else item
+        for item in spec.objects
+    ]
+    end = spec.model_copy(update={"objects": tuple(shifted)})
+    zero = np.zeros(len(model.names))
+    assert set(displacement(model, spec, spec, zero).values()) == {0.0}
+    moved = displacement(model, spec, end, zero)
+    assert {name for name, value in moved.items() if value > 1.0} == {"base", "top"}
