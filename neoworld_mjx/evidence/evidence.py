@@ -31,6 +31,8 @@ class Evidence:
     own. The tree is then not fitted to them."""
     supports: bool = False
     """True if a person chose the supports, which the fit then keeps."""
+    sizes: frozenset[str] = frozenset()
+    """Names of the objects whose size a person stated: they keep the size of their program."""
     lens: Lens | None = None
     """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
     describes the undistorted image."""

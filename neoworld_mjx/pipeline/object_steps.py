@@ -16,6 +16,7 @@ from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..verify.patch import write_patch
 from ..verify.verification import VerificationResult, verify_object
+from .edited_files import build_edited, note_edited_program, program_edited
 from .step_context import (
     PROGRAM,
     RESPONSE_TREE,
@@ -185,12 +186,16 @@ def verify_objects(context: StepContext) -> None:
             "level": level,
             "surroundings": surroundings(node, tree),
         }
+        edited = program_edited(run, node.name)
+        if edited:
+            inputs["edited"] = program_file
         if run.finished(name, inputs):
             return
-        spec = read_spec(spec_file)
+        built = build_edited(run, node.name, context.config.program) if edited else None
+        spec = read_spec(spec_file) if built is None or built.spec is None else built.spec
         tilt, fixed_base = pose_without_scene(node, spec, level=level)
         source, crop = None, crop_by_name.get(node.name)
-        if crop is not None and not node.slab and program_file.is_file():
+        if crop is not None and not node.slab and program_file.is_file() and not edited:
             text = program_file.read_text(encoding="utf-8")
             source = ProgramSource(node, crop, text, context.config.program, tree.camera)
         result = await verify_object(
@@ -198,14 +203,18 @@ def verify_objects(context: StepContext) -> None:
             options,
             fixed_base=fixed_base,
             tilt=tilt,
-            allowed=read_allowances(rounds_file),
+            allowed=read_allowances(rounds_file) if built is None else built.allowances,
             models=None if options.critic == "never" else context.models,
             surroundings=surroundings(node, tree),
             source=source,
         )
         with run.step(name, inputs, started=last_finished) as out:
             assert out is not None
-            write_object_files(out, node.name, _changed_files(result, spec))
+            files = _changed_files(result, spec)
+            if built is not None:
+                files.setdefault(SPEC, spec.to_json())
+                note_edited_program(run, node.name, built)
+            write_object_files(out, node.name, files)
             if not result.patch.empty:
                 write_patch(out / object_file(node.name, PROGRAM), result.patch)
             _record_verification(run, node.name, result)

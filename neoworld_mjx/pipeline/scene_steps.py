@@ -121,12 +121,15 @@ def refine_layout(context: StepContext) -> None:
 def _evidence(run: RunFolder) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
+    from .edited_files import edited_objects
     from .given_evidence import kept_evidence
 
     kept = kept_evidence(run)
-    if kept.masks is None:
+    if not (run.path / TREE).is_file():
         return kept
-    return replace(kept, masks=matched_to(kept.masks, read_tree(run))[0])
+    tree = read_tree(run)
+    masks = None if kept.masks is None else matched_to(kept.masks, tree)[0]
+    return replace(kept, masks=masks, sizes=edited_objects(run, tree))
 
 
 def _mean(values: list[float]) -> float:

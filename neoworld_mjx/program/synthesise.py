@@ -130,8 +130,7 @@ async def synthesise(
         last = best
         best = await work.write_stage(stage, last)
         if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
-            reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
-            work.fallbacks.append((f"{node.name}: no export program", reasons))
+            work.fallbacks.append((f"{node.name}: no export program", best.built.errors))
             best = last
         if best.built.spec is None:
             break

@@ -368,7 +368,11 @@ class RunFolder:
             return False
         if step_of(name) in self._kept:
             if entry["inputs"] != hashes:
-                _log.warning("%s: kept although its inputs have changed", name)
+                _log.warning(
+                    "%s: kept although its inputs have changed; --from %s uses them",
+                    name,
+                    step_of(name),
+                )
             edited = self._edited(entry)
             if edited:  # Record the edits as outputs, so that a later --resume keeps them.
                 entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
