@@ -19,6 +19,7 @@ from ..mllm import Panel, Picture
 from ..physics.engine import Engine, on_cpu, open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
+from ..quantities import count
 from ..spec import SceneSpec, read_scene
 from .choosing import NOT_SAMPLED, Round, Winner, choose_winner, stack_padded
 from .evaluation import named_scores
@@ -51,6 +52,7 @@ class Refined:
     """
     engine: str
     iterations: int
+    """Number of iterations of the search; the evaluation of the initial layout is none."""
     winner: tuple[int, int]
     """(iteration, candidate); see `Winner.index`."""
     finalists_tried: int
@@ -121,16 +123,16 @@ def outcome(
     """
     o = result.evaluation.options
     moves = np.asarray(model.optimised)
-    count = len(model.names)
-    layout: Layout = jax.tree.map(lambda x: np.asarray(x)[:, :count], winner.layout)
+    number = len(model.names)
+    layout: Layout = jax.tree.map(lambda x: np.asarray(x)[:, :number], winner.layout)
     logs = layout.log_scale[0][moves]
     shift = np.linalg.norm(layout.xy[0][moves], axis=-1)
     turn = np.degrees(np.abs(layout.yaw[0][moves]))
     fallbacks = () if scorer is None else scorer.fallbacks
     if result.stuck:
         fallbacks += (
-            f"the search ended after {len(rounds)} iterations: in no candidate did "
-            f"{', '.join(result.stuck)} rest where the photograph shows it",
+            f"the search ended after {count(result.iterations_done, 'iteration')}: in no candidate "
+            f"did {', '.join(result.stuck)} rest where the photograph shows it",
         )
     if not winner.passed:
         failed = [c.phrase() for c in scene_checks(winner.measure, o) if not c.passed]
@@ -149,7 +151,7 @@ def outcome(
         layout=layout,
         history=history,
         engine=engine,
-        iterations=len(rounds),
+        iterations=result.iterations_done,
         winner=winner.index,
         finalists_tried=winner.tried,
         mean_log_scale=float(logs.mean()) if len(logs) else 0.0,

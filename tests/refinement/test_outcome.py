@@ -91,7 +91,7 @@ def test_failures_are_listed(searched):
     ended, failed = result.fallbacks
     assert "did not pass the check" in repr(result)
     assert ended == (
-        "the search ended after 1 iterations: in no candidate did low, ball rest where the "
+        "the search ended after 1 iteration: in no candidate did low, ball rest where the "
         "photograph shows it"
     )
     assert failed.startswith("no candidate passed the final check in 3 tries; the closest one is")
