@@ -305,10 +305,15 @@ def summarize(number: int, scores: Scores) -> Iteration:
 
 
 def _line(r: SearchResult, scores: Scores) -> str:
-    best = float(np.asarray(scores.absolute).max())
+    best, scene = float(np.asarray(scores.absolute).max()), r.evaluation.scene
+    valid, rested = np.asarray(scores.valid), np.asarray(scores.rested).any(axis=0)
+    outcome = f"{int(valid.sum())} of {len(valid)} candidates valid"
+    if not valid.any():
+        never = [name for name, rests in zip(scene.names, rested, strict=False) if not rests]
+        outcome += f"; in none did {', '.join(never)} rest" if never else "; each object rests in some"
     return (
         f"iteration {r.iterations_done}/{r.evaluation.options.cem.iterations}: best {best:.3f}, "
-        f"elites {float(r.state.elite_mean):.3f}, {float(np.mean(scores.valid)):.0%} valid"
+        f"elites {float(r.state.elite_mean):.3f}, {outcome}"
     )
 
 
