@@ -310,7 +310,9 @@ def _line(r: SearchResult, scores: Scores) -> str:
     outcome = f"{int(valid.sum())} of {len(valid)} candidates valid"
     if not valid.any():
         never = [name for name, rests in zip(scene.names, rested, strict=False) if not rests]
-        outcome += f"; in none did {', '.join(never)} rest" if never else "; each object rests in some"
+        outcome += (
+            f"; in none did {', '.join(never)} rest" if never else "; each object rests in some"
+        )
     return (
         f"iteration {r.iterations_done}/{r.evaluation.options.cem.iterations}: best {best:.3f}, "
         f"elites {float(r.state.elite_mean):.3f}, {outcome}"
