@@ -1,15 +1,15 @@
 """Writes the URDF and SRDF of one object.
 
 Link frames are those of `link_frames`, so joint origins are offsets without rotation. Sites and
-handles are links without geometry. <contact> states a link's friction for PyBullet, which multiplies
-the coefficients of two links: it is the root of the mean of the link's colliders, so that a pair has
-the geometric mean. The stiffness and armature of joints are omitted, because URDF cannot store them.
+handles are links without geometry. <contact> states the root of the mean friction of a link's
+colliders for PyBullet, which multiplies the coefficients of two links. The stiffness and armature
+of joints are omitted, because URDF cannot store them.
 
 A capsule becomes a cylinder and two spheres, and an ellipsoid becomes a mesh. A ball joint becomes
 three hinges <joint>_x, <joint>_y and <joint>_z through one point, with two links of tiny mass
 between them; the middle hinge turns by at most a quarter turn in each direction. The element
-<neoworld>, which other readers ignore, lists frictions, ball joints, shrunk links and the limits that
-the object does not state. `read_urdf` uses this element to restore the object.
+<neoworld>, which other readers ignore, lists frictions, ball joints, shrunk links and the limits
+that the object does not state. `read_urdf` uses this element to restore the object.
 
 Parts that a joint connects may touch, because they never collide in MuJoCo. URDF cannot exclude
 collisions, so in some simulators a drawer would jam in its case. Therefore the colliders of moving
