@@ -306,10 +306,10 @@ def summarize(number: int, scores: Scores) -> Iteration:
 
 def _line(r: SearchResult, scores: Scores) -> str:
     best, scene = float(np.asarray(scores.absolute).max()), r.evaluation.scene
-    valid, rested = np.asarray(scores.valid), np.asarray(scores.rested).any(axis=0)
+    valid, rested = np.asarray(scores.valid), np.asarray(scores.rested)
     outcome = f"{int(valid.sum())} of {len(valid)} candidates valid"
     if not valid.any():
-        never = [name for name, rests in zip(scene.names, rested, strict=False) if not rests]
+        never = [name for k, name in enumerate(scene.names) if not rested[:, k].any()]
         outcome += (
             f"; in none did {', '.join(never)} rest" if never else "; each object rests in some"
         )
