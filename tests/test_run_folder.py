@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.config import CEMOptions, Config, RefineOptions
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.run_folder import RunFolder, read_run
+from neoworld_mjx.run_folder import RunFolder, read_run, step_times
 
 
 def _two_steps(out, mode="new", *, text="tree", step=None):
@@ -280,20 +280,38 @@ def test_metrics_take_numpy_numbers_and_keep_run_json_strict(tmp_path):
     assert data["metrics"] == {"depth": 0.5, "drift": None, "best": None}
 
 
-def test_waiting_for_models_is_counted_by_step(tmp_path):
-    with RunFolder(tmp_path / "out", Config()) as run:
-        awaited = [0.0]
+def test_the_time_of_parts_that_run_at_once_is_that_of_their_step(tmp_path, caplog):
+    awaited = [0.0]
+    with caplog.at_level("INFO"), RunFolder(tmp_path / "out", Config()) as run:
         run.waited = lambda: awaited[0]
-        began = run.now()
-        awaited[0] = 3.0
-        for name in ("program/cup", "program/spoon"):
-            with run.step(name, {}, started=began):
-                awaited[0] += 2.0
-            began = run.now()
+        with run.concurrent("program"):
+            for name in ("program/cup", "program/spoon"):
+                run.begin(name)
+            awaited[0] = 5.0
+            for name in ("program/cup", "program/spoon"):
+                with run.step(name, {}):
+                    awaited[0] += 1.0
         with run.step("compose", {}):
-            pass
-        assert run.waiting() == {"program": 7.0, "compose": 0.0}
-    assert read_run(tmp_path / "out")["steps"]["program/cup"]["waiting_s"] == 5.0
+            awaited[0] += 3.0
+        with run.step("compose/check", {}):
+            awaited[0] += 2.0
+    data = read_run(tmp_path / "out")
+    assert {step: waiting for step, (_, waiting) in step_times(data).items()} == {
+        "program": 7.0,
+        "compose": 5.0,
+    }
+    assert "seconds" not in data["steps"]["program/cup"]
+    messages = [record.message for record in caplog.records]
+    assert messages[:4] == [
+        "program/cup: started",
+        "program/spoon: started",
+        "program/cup: done",
+        "program/spoon: done",
+    ]
+    assert messages[4] == "program: done in 0.0 s and 7.0 s of waiting for models"
+    with RunFolder(tmp_path / "out", Config(), "resume") as run, run.concurrent("program"):
+        assert run.finished("program/cup", {})
+    assert read_run(tmp_path / "out")["concurrent"] == data["concurrent"]
 
 
 def test_a_full_file_system(tmp_path):

@@ -221,8 +221,8 @@ def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[s
         return obj
     shift = float(np.hypot(*np.subtract(position, obj.xy)))
     notes.append(
-        f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm into {obj.parent}, because it "
-        "would have stood on the rim"
+        f"{obj.name}: composition moved it by {1e3 * shift:.0f} mm, to where it stands lower "
+        f"{'in' if obj.relation == 'in' else 'on'} {obj.parent}"
     )
     return obj.model_copy(update={"xy": tuple(position.tolist())})
 

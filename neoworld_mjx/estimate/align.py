@@ -44,6 +44,8 @@ SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""
 NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
+NOT_CONFIRMED = "the pixels do not confirm the place that its contour suggests"
+"""Reason reported for objects whose contour the pixels contradict."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
 of the log scale. They were set on the development half of the benchmark scenes. `neoworld
@@ -200,8 +202,7 @@ def _solution(
         if not refused:
             continue
         if source == "contour":
-            reason = "its colors do not distinguish it from its surroundings"
-            reasons |= dict.fromkeys(refused, reason)
+            reasons |= dict.fromkeys(refused, NOT_CONFIRMED)
         else:
             contradicted = frozenset(refused)
             problem = replace(problem, without_depth=contradicted)

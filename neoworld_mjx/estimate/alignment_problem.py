@@ -210,7 +210,11 @@ class AlignmentProblem:
         equations = NormalEquations(
             unknowns,
             prior_precision(
-                unknowns, now, x if self.mean is None else x - self.mean, self.camera_deviations()
+                unknowns,
+                now,
+                x if self.mean is None else x - self.mean,
+                self.camera_deviations(),
+                self.evidence.sizes,
             ),
             x,
             mean=self.mean,

@@ -35,7 +35,7 @@ from .priors import is_slab
 from .projection import Wireframe
 from .tree_checks import agreement, check_objects
 
-NOTED_M, NOTED_SIZE = 0.10, 0.10
+NOTED_M, NOTED_SIZE = 0.10, 0.05
 """Changes of position [m] and size (relative) above which a note reports them."""
 
 

@@ -16,12 +16,19 @@ from .asset_files import inside, inside_any, read_xml
 
 
 def check_files(path: Path) -> str:
-    """Check an MJCF file and all files that it includes, and return the name of the model.
+    """Check an MJCF file and all its files, and return the name of the model.
 
     Raises:
         SpecError: a file is broken or hostile, refers to a file that is missing or outside the
             folder of `path`, or includes itself.
     """
+    return _check(path, (), set())
+
+
+def _check(path: Path, outer: tuple[Path, ...], checked: set[Path]) -> str:
+    """Check a model, and the models that it attaches unless they are checked; return its name."""
+    outer = (*outer, path.resolve())
+    checked.add(path.resolve())
     roots = _included(path, path, set())
     if roots[0].tag != "mujoco":
         raise SpecError(f"{path}: the root element of MJCF is <mujoco>, not <{roots[0].tag}>")
@@ -30,10 +37,15 @@ def check_files(path: Path) -> str:
     compilers = [element for element in elements if element.tag == "compiler"]
     stripped = any(compiler.get("strippath") == "true" for compiler in compilers)
     for element in elements:
-        if element.tag in ("model", "attach", "plugin"):
-            raise SpecError(
-                f"{path}: <{element.tag}> is not supported; use one self-contained file"
-            )
+        if element.tag == "plugin":
+            raise SpecError(f"{path}: <plugin> is not supported, as it runs code")
+        if element.tag == "model" and element.get("file"):
+            attached = inside(path, element.get("file") or "")
+            if attached.resolve() in outer:
+                raise SpecError(f"{attached} attaches itself")
+            if attached.resolve() not in checked:
+                _check(attached, outer, checked)
+            continue
         if element.tag in ("include", "mujoco"):
             continue
         keys = ("assetdir", "texturedir" if element.tag == "texture" else "meshdir")

@@ -108,9 +108,11 @@ def _surface(mesh: Any, notes: list[str]) -> Surface:
         material = visual.material
         image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
         rgba = np.array(material.main_color, float) / 255
-        opacity = getattr(material, "kwargs", {}).get("d")
-        if opacity is not None:
-            rgba[3] = float(np.ravel(opacity)[0])
+        stated = getattr(material, "kwargs", {})
+        if "d" in stated:  # MTL states opacity or transparency.
+            rgba[3] = float(np.ravel(stated["d"])[0])
+        elif "tr" in stated:
+            rgba[3] = 1.0 - float(np.ravel(stated["tr"])[0])
         if image is not None and visual.uv is not None:
             # Files that name a texture often leave the color black.
             factor = rgba if rgba[:3].any() else np.ones(4)

@@ -292,16 +292,22 @@ def _shape(file: _File, g: int, collides: bool, notes: list[str]) -> LinkShape:
     return replace(result, shape=(vertices, faces))
 
 
+DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
+"""Color of geoms that state none."""
+
+
 def _geom_color(
     model: mujoco.MjModel, g: int, notes: list[str]
 ) -> tuple[float, float, float, float]:
-    """Return the RGBA color of a geom.
+    """Return the RGBA color of a geom: its own, unless it is MuJoCo's default, or its material's.
 
     If the geom is textured, the color is the plain color that the file states (`COLOR_SUFFIX`). If
     the file states none, it is the material's color multiplied by the texture's mean color.
     """
     material = int(model.geom_matid[g])
-    rgba = (model.geom_rgba[g] if material < 0 else model.mat_rgba[material]).astype(float)
+    rgba = model.geom_rgba[g].astype(float)
+    if material >= 0 and np.array_equal(model.geom_rgba[g], DEFAULT_RGBA):
+        rgba = model.mat_rgba[material].astype(float)
     texture = -1
     if material >= 0:
         texture = int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])

@@ -215,15 +215,15 @@ def _fold_frames(links: list[Link], joints: list[JointSpec]) -> list[Site]:
 
 
 def _friction(root: ET.Element, link: str) -> float:
-    """Return the friction coefficient that a link states for PyBullet; 0.5 if it states none."""
+    """Return the friction of a link: its own, that stated for PyBullet, or 0.5 if there is none."""
+    marks = [mark for mark in root.findall("neoworld/friction") if mark.get("link") == link]
     for element in root.findall("link"):
-        stated = element.find("contact/lateral_friction")
-        if element.get("name") == link and stated is not None:
-            try:
-                return float(stated.get("value") or 0.5)
-            except ValueError:
-                return 0.5
-    return 0.5
+        if element.get("name") == link:
+            marks += element.findall("contact/lateral_friction")
+    try:
+        return float(marks[0].get("value") or 0.5) if marks else 0.5
+    except ValueError:
+        return 0.5
 
 
 def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:

@@ -9,6 +9,7 @@ children of an object's node are its links, and the children of a link's node ar
 """
 
 from collections.abc import Iterable
+from functools import lru_cache
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ from ..spec import (
     ObjectSpec,
     SceneObject,
     SceneSpec,
+    Shape,
     link_poses,
     single_object_scene,
     world_poses,
@@ -191,13 +193,13 @@ def visible_surface(
         are subdivided, because texture coordinates follow the photograph's perspective only at
         corners.
     """
-    vertices, faces = geom.shape.surface()
     if not is_textured(spec, geom):
-        return vertices, faces, None
+        return *geom.shape.surface(), None
     material = spec.material(geom.material)
     if material.photo is None:
+        vertices, faces = geom.shape.surface()
         return vertices, faces, _tiled(spec, part, geom, vertices, faces)
-    vertices, faces = _subdivided(vertices, faces)
+    vertices, faces = _subdivided(geom.shape)  # pyright: ignore[reportArgumentType] hashable
     photo = read_print(material.photo)
     corners = geom.pose().apply(vertices)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -207,10 +209,12 @@ def visible_surface(
     return vertices, faces, uv.reshape(-1, 3, 2)
 
 
-def _subdivided(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
-    """Subdivide triangles until no edge is longer than the diagonal divided by `PRINT_CUTS`."""
+@lru_cache(maxsize=256)
+def _subdivided(shape: Shape) -> tuple[NDArray, NDArray]:
+    """Subdivide a surface until no edge is longer than its diagonal divided by `PRINT_CUTS`."""
     from trimesh.remesh import subdivide_to_size
 
+    vertices, faces = shape.surface()
     longest = float(np.linalg.norm(np.ptp(vertices, axis=0))) / PRINT_CUTS
     cut, corners, *_ = subdivide_to_size(vertices, faces, longest, max_iter=20)
     return merged_vertices(cut, corners)

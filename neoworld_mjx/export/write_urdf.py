@@ -1,20 +1,22 @@
 """Writes the URDF and SRDF of one object.
 
 Link frames are those of `link_frames`, so joint origins are offsets without rotation. Sites and
-handles are links without geometry. The mean friction of a link's colliders is written as PyBullet's
-<contact>. The stiffness and armature of joints are omitted, because URDF cannot store them.
+handles are links without geometry. <contact> states the root of the mean friction of a link's
+colliders for PyBullet, which multiplies the coefficients of two links. The stiffness and armature
+of joints are omitted, because URDF cannot store them.
 
 A capsule becomes a cylinder and two spheres, and an ellipsoid becomes a mesh. A ball joint becomes
 three hinges <joint>_x, <joint>_y and <joint>_z through one point, with two links of tiny mass
 between them; the middle hinge turns by at most a quarter turn in each direction. The element
-<neoworld>, which other readers ignore, lists the ball joints, the shrunk links and the limits that
-the object does not state. `read_urdf` uses this element to restore the object.
+<neoworld>, which other readers ignore, lists frictions, ball joints, shrunk links and the limits
+that the object does not state. `read_urdf` uses this element to restore the object.
 
 Parts that a joint connects may touch, because they never collide in MuJoCo. URDF cannot exclude
 collisions, so in some simulators a drawer would jam in its case. Therefore the colliders of moving
 parts are shrunk by 0.5 mm on each side, and the SRDF lists the pairs for motion planners.
 """
 
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -52,20 +54,21 @@ def urdf_text(spec: ObjectSpec) -> str:
     group = welded(spec)
     moving = {part.name for part in spec.parts if group[part.name] != group[spec.root]}
     unstated = {joint.name: limits for joint in spec.joints if (limits := _unstated(joint))}
-    if moving or unstated:
-        mark = ET.SubElement(robot, "neoworld")
-        for name, limits in unstated.items():
-            ET.SubElement(mark, "unstated", joint=name, limits=limits)
-        for joint in spec.joints:
-            if joint.type == "ball":
-                ET.SubElement(mark, "ball", joint=joint.name)
-        for part in spec.parts:
-            if part.name in moving:
-                ET.SubElement(mark, "drawn_in", link=part.name)
+    origins, links = link_origins(spec), link_names(spec)
+    mark = ET.SubElement(robot, "neoworld")
+    for name, limits in unstated.items():
+        ET.SubElement(mark, "unstated", joint=name, limits=limits)
+    for joint in spec.joints:
+        if joint.type == "ball":
+            ET.SubElement(mark, "ball", joint=joint.name)
+    for part in spec.parts:
+        friction = number(round(_mean_friction(spec, part), 4))
+        ET.SubElement(mark, "friction", link=links[part.name], value=friction)
+        if part.name in moving:
+            ET.SubElement(mark, "drawn_in", link=part.name)
     for material in spec.materials:
         look = ET.SubElement(robot, "material", name=material.name)
         ET.SubElement(look, "color", rgba=numbers(material.rgba))
-    origins, links = link_origins(spec), link_names(spec)
     for part, _ in spec.ordered:
         clearance = CLEARANCE_M if part.name in moving else 0.0
         link = ET.SubElement(robot, "link", name=links[part.name])
@@ -116,11 +119,16 @@ def _add_frame(
     ET.SubElement(joint, "child", link=name)
 
 
+def _mean_friction(spec: ObjectSpec, part: PartSpec) -> float:
+    """Return the mean friction of a part's colliders."""
+    colliding = [spec.material(geom.material) for geom in part.geoms if geom.role != "visual"]
+    return float(np.mean([material.friction for material in colliding]))
+
+
 def _fill_link(
     link: ET.Element, spec: ObjectSpec, part: PartSpec, origin: NDArray, clearance: float
 ) -> None:
-    colliding = [spec.material(geom.material) for geom in part.geoms if geom.role != "visual"]
-    friction = round(float(np.mean([material.friction for material in colliding])), 4)
+    friction = round(math.sqrt(_mean_friction(spec, part)), 4)
     ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=number(friction))
     mass = inertial(spec, part)
     element = ET.SubElement(link, "inertial")

@@ -32,7 +32,7 @@ MAX_HOLE_AREA = 0.05
 """Largest area of the holes that are filled, relative to the mesh's area. Larger holes are kept,
 such as the opening of a drawer."""
 MAX_CORNERS = 48
-CACHE_VERSION = "6"
+CACHE_VERSION = "7"
 SHEET_M = 0.002
 """Thickness of the pieces of flat sheets."""
 CONVEX_SHARE = 0.97
@@ -287,7 +287,7 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
     # Wrapping would turn an open mesh into a thick shell, although most components may be closed.
     components = [mesh]
     if not mesh.is_watertight:
-        components = mesh.split(only_watertight=False, repair=False)
+        components = _bodies(mesh)
         if len(components) > CLOSED_LIMITS[1]:
             components = [mesh]
     components = [_fill_small_holes(component) for component in components]
@@ -297,6 +297,57 @@ def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:
         for component, size in zip(components, sizes, strict=True)
         for points in _pieces(component, sizes.max() / size, size / sizes.sum())
     ]
+
+
+def _bodies(mesh: Any) -> list[Any]:
+    """Return the connected components of a mesh; bodies that touch at edges are separate."""
+    import trimesh
+
+    corners = np.asarray(mesh.faces)
+    directed = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    key = np.sort(directed, axis=1)
+    _, edge = np.unique(key, axis=0, return_inverse=True)
+    edge, owner = edge.reshape(-1), np.repeat(np.arange(len(corners)), 3)
+    order = np.argsort(edge, kind="stable")
+    runs = np.split(order, np.flatnonzero(np.diff(edge[order])) + 1)
+    pairs = [owner[run] for run in runs if len(run) == 2]
+    for run in runs:
+        if len(run) > 2:
+            pairs += _around_edge(mesh, key[run[0]], directed[run], owner[run])
+    rows = trimesh.graph.connected_components(
+        np.reshape(pairs, (-1, 2)), nodes=np.arange(len(corners)), min_len=1
+    )
+    return mesh.submesh(rows, append=False, only_watertight=False, repair=False)
+
+
+def _around_edge(mesh: Any, edge: NDArray, directed: NDArray, owner: NDArray) -> list[NDArray]:
+    """Pair the triangles at an edge that bound the same body, in their order around the edge.
+
+    Args:
+        mesh: the mesh; its triangles face outwards.
+        edge: indices of the edge's vertices, shape [2].
+        directed: vertices of the edge in the order of each triangle, shape [n, 2].
+        owner: indices of the triangles, shape [n].
+    """
+    start, end = mesh.vertices[edge]
+    along = (end - start) / np.linalg.norm(end - start)
+    out = mesh.triangles[owner].sum(axis=1) - start - end - start
+    out -= np.outer(out @ along, along)
+    side = np.cross(along, out[0])
+    across, ahead = out @ side / np.linalg.norm(side), out @ out[0] / np.linalg.norm(out[0])
+    angle = np.round(np.arctan2(across, ahead) % (2 * np.pi), 6)
+    angle[angle >= round(2 * np.pi, 6)] = 0.0
+    opens = directed[:, 0] != edge[0]
+    """True for triangles behind which, by increasing angle, their body lies."""
+    order = np.lexsort((opens, angle))
+    order = np.roll(order, -int(np.argmax(opens[order])))
+    pairs, open_triangles = [], list[int]()
+    for k in order.tolist():
+        if opens[k]:
+            open_triangles.append(k)
+        elif open_triangles:
+            pairs.append(owner[[open_triangles.pop(), k]])
+    return pairs
 
 
 def _fill_small_holes(mesh: Any) -> Any:

@@ -14,6 +14,7 @@ from ..io import read_model
 from ..parse.photo import load_photo
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
+from .edited_files import edited_objects, moves_from_tree, tree_edited
 from .step_context import (
     ALIGNED,
     CHECK,
@@ -58,18 +59,18 @@ def compose_scene(context: StepContext) -> None:
     options = config.compose
     tree = read_tree(run, before="compose")
     specs = {node.name: run.before("compose", object_file(node.name, SPEC)) for node in tree.nodes}
-    edited = any(TREE in run.edited_by_hand(step) for step in ("parse", "program"))
+    edited, sizes = tree_edited(run), edited_objects(run, tree)
     refits = options.refit and config.parse.fit
     if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
         # Start from the unfitted tree: the first fit has already used the same boxes.
         tree = _unfitted(run, tree)
     patch = read_layout_patch(run.path)
-    inputs = _inputs(context, tree, specs, patch, refits=refits)
+    inputs = _inputs(context, tree, specs, patch, sizes, refits=refits)
     with run.step("compose", inputs) as out:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            evidence = _evidence(run, tree)
+            evidence = _evidence(run, tree, sizes)
             programs = None
             if options.align.enabled and options.align.dimensions:
                 programs = editable_programs(run, tree, objects, config)
@@ -96,12 +97,14 @@ def compose_scene(context: StepContext) -> None:
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
             _write_json(out / "compose" / "scales.json", placed.composed.scales)
             _record_notes(run, placed)
+            for outcome, reason in moves_from_tree(tree, placed.scene) if edited else ():
+                run.note("compose", outcome, reason)
             _record_patch(run, patch, stale)
     context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
     _check_composed(context)
 
 
-def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
+def _evidence(run: RunFolder, tree: SceneTree, sizes: frozenset[str]) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
     from .given_evidence import kept_evidence
@@ -117,6 +120,7 @@ def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
         photo=_rgb(run) if photo else None,
         masks=masks,
         boxes=not (run.path / GIVEN).is_file(),
+        sizes=sizes,
     )
 
 
@@ -137,6 +141,7 @@ def _inputs(
     tree: SceneTree,
     specs: Mapping[str, Path],
     patch: "LayoutPatch",
+    sizes: frozenset[str],
     *,
     refits: bool,
 ) -> dict[str, object]:
@@ -154,6 +159,8 @@ def _inputs(
         inputs |= program_files(run, tree)
     if patch.objects:
         inputs["layout"] = patch
+    if sizes:
+        inputs["sizes"] = sorted(sizes)
     return inputs
 
 

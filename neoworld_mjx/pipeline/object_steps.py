@@ -16,6 +16,7 @@ from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..verify.patch import write_patch
 from ..verify.verification import VerificationResult, verify_object
+from .edited_files import build_edited, note_edited_program, program_edited
 from .step_context import (
     PROGRAM,
     RESPONSE_TREE,
@@ -77,14 +78,11 @@ def program_objects(context: StepContext) -> None:
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, crop_by_name, colours, options)
 
-    # The time of an object starts when the previous object finishes, so that times add up.
-    last_finished = run.now()
-
     async def program_one(node: TreeNode) -> None:
-        nonlocal last_finished
         name, colour = f"program/{node.name}", colours.get(node.name)
         if run.finished(name, inputs[node.name]):
             return
+        run.begin(name)
         result = await synthesise(
             node,
             crop_by_name[node.name],
@@ -95,7 +93,7 @@ def program_objects(context: StepContext) -> None:
         )
         if result.spec is None:
             raise ProgramError(f"object {node.name}: {result.reason}")
-        with run.step(name, inputs[node.name], started=last_finished) as out:
+        with run.step(name, inputs[node.name]) as out:
             assert out is not None
             write_object_files(out, node.name, result.files())
             for skipped, reason in result.fallbacks:
@@ -108,9 +106,9 @@ def program_objects(context: StepContext) -> None:
                 sizes = (" x ".join(f"{v:.3f}" for v in s) for s in (node.box3d.size, result.size))
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
                 run.note(name, f"{node.name} has a corrected size", reason)
-        last_finished = run.now()
 
-    run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
+    with run.concurrent("program"):
+        run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
     _correct_sizes(run, tree)
 
 
@@ -168,11 +166,8 @@ def verify_objects(context: StepContext) -> None:
     run, options = context.run, context.config.verify
     tree = read_tree(run, before="verify")
     crop_by_name = {} if context.photo is None else crops(context.photo, tree)
-    # The time of an object starts when the previous object finishes, so that times add up.
-    last_finished = run.now()
 
     async def verify_one(node: TreeNode) -> None:
-        nonlocal last_finished
         name, level = f"verify/{node.name}", on_level(node, tree)
         spec_file, rounds_file, program_file = (
             run.before("verify", object_file(node.name, file)) for file in (SPEC, ROUNDS, PROGRAM)
@@ -185,12 +180,17 @@ def verify_objects(context: StepContext) -> None:
             "level": level,
             "surroundings": surroundings(node, tree),
         }
+        edited = program_edited(run, node.name)
+        if edited:
+            inputs["edited"] = program_file
         if run.finished(name, inputs):
             return
-        spec = read_spec(spec_file)
+        run.begin(name)
+        built = build_edited(run, node.name, context.config.program) if edited else None
+        spec = read_spec(spec_file) if built is None or built.spec is None else built.spec
         tilt, fixed_base = pose_without_scene(node, spec, level=level)
         source, crop = None, crop_by_name.get(node.name)
-        if crop is not None and not node.slab and program_file.is_file():
+        if crop is not None and not node.slab and program_file.is_file() and not edited:
             text = program_file.read_text(encoding="utf-8")
             source = ProgramSource(node, crop, text, context.config.program, tree.camera)
         result = await verify_object(
@@ -198,20 +198,24 @@ def verify_objects(context: StepContext) -> None:
             options,
             fixed_base=fixed_base,
             tilt=tilt,
-            allowed=read_allowances(rounds_file),
+            allowed=read_allowances(rounds_file) if built is None else built.allowances,
             models=None if options.critic == "never" else context.models,
             surroundings=surroundings(node, tree),
             source=source,
         )
-        with run.step(name, inputs, started=last_finished) as out:
+        with run.step(name, inputs) as out:
             assert out is not None
-            write_object_files(out, node.name, _changed_files(result, spec))
+            files = _changed_files(result, spec)
+            if built is not None:
+                files.setdefault(SPEC, spec.to_json())
+                note_edited_program(run, node.name, built)
+            write_object_files(out, node.name, files)
             if not result.patch.empty:
                 write_patch(out / object_file(node.name, PROGRAM), result.patch)
             _record_verification(run, node.name, result)
-        last_finished = run.now()
 
-    run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
+    with run.concurrent("verify"):
+        run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
 
 
 def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:

@@ -16,7 +16,7 @@ from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..names import Step
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
-from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options
+from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
 from ..spec import read_scene
 from .compose_step import compose_scene
 from .given_evidence import Given, evidence_of_run, keep_evidence, kept_inputs, undistorted_photo
@@ -299,13 +299,14 @@ def finish(run: RunFolder, until: str | None) -> Result:
 
     run.finish(until)
     write_metrics(run)
+    times = step_times(run.data)
     write_report(run.path)
     return Result(
         folder=run.path,
         until=until,
         metrics=run.data["metrics"],
-        seconds=run.seconds(),
-        waiting=run.waiting(),
+        seconds={step: seconds for step, (seconds, _) in times.items()},
+        waiting={step: waiting for step, (_, waiting) in times.items()},
         fallbacks=run.data["fallbacks"],
         notes=run.data["notes"],
         objects=_object_names(run),

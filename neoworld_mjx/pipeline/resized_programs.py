@@ -17,7 +17,7 @@ from ..config import Config, ProgramOptions, VerifyOptions
 from ..errors import SpecError
 from ..io import read_object
 from ..program.freed_dimensions import EditablePrograms, FreedScene
-from ..program.sandbox import BuildResult, build
+from ..program.sandbox import build
 from ..program.sandbox import run as run_program
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
@@ -88,13 +88,13 @@ class _Source:
     def object_of(self, text: str) -> ObjectSpec | str:
         """Return the patched object that a program builds, or the reason why it builds none."""
         result = run_program(text, self.options)
-        return _errors(result) if result.spec is None else self._patched(result.spec)
+        return result.errors if result.spec is None else self._patched(result.spec)
 
     def fault(self, text: str) -> str:
         """Return why a changed program is not valid; empty if its object fails no new check."""
         result = build(text, self.options)
         if result.spec is None or not result.ok:
-            return _errors(result)
+            return result.errors
         spec = self._patched(result.spec)
         tilt, fixed = pose_without_scene(self.node, spec, level=self.level)
         tests = run_object_tests(
@@ -136,8 +136,3 @@ def _failed(verdict: Verdict) -> set[str]:
         for check in verdict.checks
         if check.failed
     }
-
-
-def _errors(result: BuildResult) -> str:
-    errors = [s.phrase() for s in result.signals if s.severity == "error"]
-    return "; ".join(errors) or "it builds no object"

@@ -1,6 +1,7 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
 import json
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -87,7 +88,7 @@ def refine_layout(context: StepContext) -> None:
             "iterations": refined.iterations,
             "winner": list(refined.winner),
             "finalists_tried": refined.finalists_tried,
-            "mean_log_scale": refined.mean_log_scale,
+            "mean_log_scale": _mean([math.log(move.size_ratio) for move in moves.values()]),
             "mean_shift_m": _mean([move.distance_m for move in moves.values()]),
             "mean_turn_deg": _mean([move.turn_deg for move in moves.values()]),
             "kept": list(refined.kept),
@@ -113,7 +114,7 @@ def refine_layout(context: StepContext) -> None:
                 run.note(
                     "refine",
                     f"{name} far from its composed pose",
-                    f"the search moved it by {100 * move.distance_m:.0f} cm, scaled it by "
+                    f"the refinement moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
 
@@ -121,12 +122,15 @@ def refine_layout(context: StepContext) -> None:
 def _evidence(run: RunFolder) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
+    from .edited_files import edited_objects
     from .given_evidence import kept_evidence
 
     kept = kept_evidence(run)
-    if kept.masks is None:
+    if not (run.path / TREE).is_file():
         return kept
-    return replace(kept, masks=matched_to(kept.masks, read_tree(run))[0])
+    tree = read_tree(run)
+    masks = None if kept.masks is None else matched_to(kept.masks, tree)[0]
+    return replace(kept, masks=masks, sizes=edited_objects(run, tree))
 
 
 def _mean(values: list[float]) -> float:

@@ -47,7 +47,7 @@ class ProgramResponse(BaseModel):
     )
     box: Edges | None = Field(
         default=None,
-        description="null if the measured box can be right. Only if it contradicts the crop, or "
+        description="null if the given box can be right. Only if it contradicts the crop, or "
         "such objects never have that size: the object's size (x, y, z) in metres; the program "
         "fills that box instead.",
     )
@@ -58,7 +58,7 @@ _ASK = """Write the program of this object.
 name: {name}
 label: {label}
 description: {description}
-measured box{opened}: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
+box{opened}, fitted to the photo: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
 moving parts seen: {moving}
 {view}{posed}{seen}
 The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbouring
@@ -158,7 +158,7 @@ def revise_request(
     ]
     if any(corrected_box(critique) for critique in critiques):
         lines.append(
-            "- object: the measured box was wrong; it is corrected above -> fill the corrected box"
+            "- object: the given box was wrong; it is corrected above -> fill the corrected box"
         )
     shown = "" if built is None else f' The picture "{built.label}" shows what it builds.'
     heading = f"It runs.{shown} Rendered and compared with the photo, it differs:"

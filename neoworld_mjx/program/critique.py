@@ -149,7 +149,7 @@ class GeometryCritique(BaseModel):
     verdict: Decision
     box: Edges | None = Field(
         default=None,
-        description="null if the measured box can be right; otherwise the size (x, y, z) in metres "
+        description="null if the given box can be right; otherwise the size (x, y, z) in metres "
         "that the object should have. It counts only with the verdict revise.",
     )
 

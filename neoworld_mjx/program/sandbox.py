@@ -57,6 +57,12 @@ class BuildResult:
         """True if the program builds an object and no signal is an error."""
         return self.spec is not None and not has_errors(self.signals)
 
+    @property
+    def errors(self) -> str:
+        """Return the errors as one line; empty if there are none."""
+        phrases = [signal.phrase() for signal in self.signals if signal.severity == "error"]
+        return "; ".join(phrases) or ("" if self.spec is not None else "it builds no object")
+
 
 def build(text: str, options: ProgramOptions | None = None) -> BuildResult:
     """Run a program, and check the object that it builds.

@@ -10,6 +10,7 @@ the whole object and returns signals. Programs are type-checked against the
 signatures in `sdk.pyi`, which a test compares with those of the SDK.
 """
 
+from .loft import loft
 from .part import Geom, Joint, Part, Shape
 from .sdk_object import Object
 from .shape_functions import (
@@ -55,6 +56,7 @@ __all__ = [
     "hollow_box",
     "intersection",
     "lathe",
+    "loft",
     "mirror",
     "panel",
     "prism",

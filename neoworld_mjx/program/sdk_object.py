@@ -260,9 +260,9 @@ class Object(Furniture):
             friction: coefficient of sliding friction.
             rgb: red, green and blue, each from 0 to 1.
             alpha: opacity from 0 to 1.
-            pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave" or
-                "brushed".
-            rgb2: color of the pattern's joints, veins, speckles or gaps.
+            pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave",
+                "brushed" or "checker".
+            rgb2: color of the pattern's joints, veins, speckles, gaps or other fields.
             step: scale of the pattern [m]: the width of a board, the edge of a tile, the height of
                 a brick, the spacing of veins, and so on.
             along: axis of a face along which boards run: the first ("x") or the second ("y").

@@ -30,38 +30,38 @@ _FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 @no_type_check
 def box(size: Vec3) -> Shape:
     """Make a box with full edge lengths (x, y, z), centered at the origin."""
-    return _shape(S.Box, 1, size=validate.lengths(size, "box size"))
+    return make_shape(S.Box, 1, size=validate.lengths(size, "box size"))
 
 
 @no_type_check
 def sphere(radius: float) -> Shape:
     """Make a ball, centered at the origin."""
-    return _shape(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
+    return make_shape(S.Sphere, 1, radius=validate.length(radius, "sphere radius"))
 
 
 @no_type_check
 def capsule(radius: float, length: float) -> Shape:
     """Make a capsule along z, centered at the origin; `length` excludes the round ends."""
-    return _shape(S.Capsule, 1, **_lengths("capsule", radius=radius, length=length))
+    return make_shape(S.Capsule, 1, **_lengths("capsule", radius=radius, length=length))
 
 
 @no_type_check
 def cylinder(radius: float, height: float) -> Shape:
     """Make a solid cylinder along z, centered at the origin."""
-    return _shape(S.Cylinder, 1, **_lengths("cylinder", radius=radius, height=height))
+    return make_shape(S.Cylinder, 1, **_lengths("cylinder", radius=radius, height=height))
 
 
 @no_type_check
 def ellipsoid(radii: Vec3) -> Shape:
     """Make an ellipsoid with semi-axes (x, y, z), centered at the origin."""
-    return _shape(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
+    return make_shape(S.Ellipsoid, 1, radii=validate.lengths(radii, "ellipsoid radii"))
 
 
 @no_type_check
 def prism(outline: Sequence[Point2], height: float) -> Shape:
     """Extrude a convex outline of (x, y) points along z from -height/2 to height/2."""
     points = validate.points(outline, "prism outline", 3, MAX_POINTS)
-    return _shape(S.Prism, 1, outline=points, height=validate.length(height, "prism height"))
+    return make_shape(S.Prism, 1, outline=points, height=validate.length(height, "prism height"))
 
 
 @no_type_check
@@ -73,7 +73,7 @@ def hollow_box(size: Vec3, wall: float, open: Face | Sequence[Face] = "+z") -> S
             raise ValueError(
                 f"hollow_box open takes faces {', '.join(_FACES)}, got {validate.formatted(face)}"
             )
-    return _shape(
+    return make_shape(
         S.HollowBox,
         6,
         size=validate.lengths(size, "hollow_box size"),
@@ -99,7 +99,7 @@ def lathe(
     count = validate.integer(sectors, "lathe sectors", MIN_SECTORS, MAX_SECTORS)
     wall = None if thickness is None else validate.length(thickness, "lathe thickness")
     bands = len(outline) - 1
-    return _shape(
+    return make_shape(
         S.Lathe,
         bands if wall is None else bands * count,
         profile=outline,
@@ -118,7 +118,7 @@ def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     ]
     half = validate.length(height, "frustum height") / 2
     profile = ((radii[0], -half), (radii[1], half))
-    return _shape(S.Lathe, 1, profile=profile, sectors=32)
+    return make_shape(S.Lathe, 1, profile=profile, sectors=32)
 
 
 @no_type_check
@@ -130,14 +130,14 @@ def tube(radius: float, wall: float, height: float, sectors: int = 12) -> Shape:
         raise ValueError(f"tube wall {thickness} must be smaller than its radius {outer}")
     count = validate.integer(sectors, "tube sectors", MIN_SECTORS, MAX_SECTORS)
     profile = ((outer, -half), (outer, half))
-    return _shape(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
+    return make_shape(S.Lathe, count, profile=profile, thickness=thickness, sectors=count)
 
 
 @no_type_check
 def rounded_box(size: Vec3, radius: float) -> Shape:
     """Make a box with full edge lengths, centered at the origin, with edges rounded by `radius`."""
     edges = validate.lengths(size, "rounded_box size")
-    return _shape(S.RoundedBox, 1, size=edges, **_lengths("rounded_box", radius=radius))
+    return make_shape(S.RoundedBox, 1, size=edges, **_lengths("rounded_box", radius=radius))
 
 
 @no_type_check
@@ -172,7 +172,7 @@ def sweep(
         across, inward = _each(width, "sweep width"), _each(thickness, "sweep thickness")
     steps = validate.integer(smooth, "sweep smooth", 1, 8)
     track = _curved(track, steps, closed)
-    return _shape(
+    return make_shape(
         S.Sweep,
         len(track),
         path=track,
@@ -198,7 +198,7 @@ def torus(radius: float, tube: float, arc: float = 2 * math.pi, sectors: int = 8
     steps = max(3, math.ceil(24 * span / (2 * math.pi)))
     angles = [span * (i / steps - 0.5) for i in range(steps if whole else steps + 1)]
     track = tuple((round(big * math.cos(a), 9), round(big * math.sin(a), 9), 0.0) for a in angles)
-    return _shape(
+    return make_shape(
         S.Sweep,
         steps,
         path=track,
@@ -221,7 +221,7 @@ def extrusion(
     )
     pieces = len(border) + sum(len(loop) + 2 for loop in loops)
     depth = validate.length(height, "extrusion height")
-    return _shape(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
+    return make_shape(S.Extrusion, pieces, outline=border, holes=loops, height=depth)
 
 
 @no_type_check
@@ -241,7 +241,7 @@ def bail(width: float, height: float, radius: float) -> Shape:
         for a in turn
     ]
     track = (*legs, *arch, *((x, -y, z) for x, y, z in legs))
-    return _shape(
+    return make_shape(
         S.Sweep, len(track), path=track, width=(2 * bar,), thickness=(2 * bar,), closed=False
     )
 
@@ -373,7 +373,7 @@ def _lengths(shape: str, **values: Any) -> dict[str, float]:
     return {key: validate.length(value, f"{shape} {key}") for key, value in values.items()}
 
 
-def _shape(model: Any, pieces: int, **fields: Any) -> Shape:
+def make_shape(model: Any, pieces: int, **fields: Any) -> Shape:
     """Build a shape from validated fields; count the given number of convex pieces."""
     name = model.model_fields["type"].default
     if pieces > MAX_SHAPE_PIECES:

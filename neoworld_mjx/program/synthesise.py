@@ -1,8 +1,9 @@
 """Step 2: synthesis of an object's program from the object's crop, with debug and critic rounds.
 
-The first request states the object's measured box. In debug rounds, errors of the program and of
-the checks are sent back to the programmer. In critic rounds, critics compare the crop with pictures
-that are rendered from the photo's view, and the faults that they find are sent to the programmer.
+The first request states the object's box, fitted to the photograph. In debug rounds, errors of the
+program and of the checks are sent back to the programmer. In critic rounds, critics compare the
+crop with pictures that are rendered from the photo's view, and the faults that they find are sent
+to the programmer.
 The result is the best of all programs. With `program.stages: three`, the stages geometry,
 articulation and export follow one another, each with separate debug and critic rounds.
 """
@@ -54,7 +55,7 @@ from .views import draw, draw_exported, draw_in_place
 T = TypeVar("T", bound=BaseModel)
 
 MAX_RESIZE = 4.0
-"""Largest factor by which an edge of the measured box may be corrected, up or down."""
+"""Largest factor by which an edge of the given box may be corrected, up or down."""
 
 
 @runtime_checkable
@@ -130,8 +131,7 @@ async def synthesise(
         last = best
         best = await work.write_stage(stage, last)
         if stage.file == "export" and last is not None and last.built.ok and not best.built.ok:
-            reasons = "; ".join(s.phrase() for s in best.built.signals if s.severity == "error")
-            work.fallbacks.append((f"{node.name}: no export program", reasons))
+            work.fallbacks.append((f"{node.name}: no export program", best.built.errors))
             best = last
         if best.built.spec is None:
             break
@@ -387,7 +387,7 @@ class _Synthesis:
         return attempt
 
     def _resize(self, edges: Sequence[float], role: str) -> None:
-        """Apply a model's correction of the measured box, unless it exceeds MAX_RESIZE."""
+        """Apply a model's correction of the given box, unless it exceeds MAX_RESIZE."""
         node = self.subject.node
         x, y, z = edges
         ratio = np.array(edges) / np.array(node.box3d.size)
@@ -396,7 +396,7 @@ class _Synthesis:
             reason = (
                 f"{role} requested {edges_text} m, which differs by a factor of over {MAX_RESIZE:g}"
             )
-            self.fallbacks.append((f"{node.name}: the measured box", reason))
+            self.fallbacks.append((f"{node.name}: the box of the parse", reason))
             return
         self.size = (x, y, z)
         box = node.box3d.model_copy(update={"size": self.size})

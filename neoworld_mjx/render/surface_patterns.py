@@ -1,4 +1,5 @@
-"""Procedural surface patterns: grain, boards, tiles, bricks, veins, speckles, weave, brushed.
+"""Procedural surface patterns: grain, boards, tiles, bricks, veins, speckles, weave, brushed,
+checker.
 
 Each pattern is a function of points in the object's frame, so it moves with the object. Details
 smaller than a pixel fade into their mean.
@@ -56,6 +57,9 @@ def patterned(
         mix = _faded(_ramp(rough, 0.35, 0.7), pixel, step, 0.2)
     elif pattern.kind == "weave":
         mix, light = _weave(u, v, step, pixel)
+    elif pattern.kind == "checker":
+        odd = (np.floor(u / step) + np.floor(v / step)) % 2
+        mix = _faded(odd, pixel, step, 0.5)
     elif pattern.kind == "brushed":
         mix = _brushed(u, v, step, pixel)
     return (colour + mix[:, None] * (second - colour)) * light[:, None]

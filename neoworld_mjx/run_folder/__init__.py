@@ -1,7 +1,7 @@
 """Run folder: locked, written atomically step by step, and resumable by content hashes."""
 
 from .open_folder import STEPS, Mode, RunFolder
-from .run_json import FORMAT, Result, read_run, run_options, verdict_line, versions
+from .run_json import FORMAT, Result, read_run, run_options, step_times, verdict_line, versions
 from .staging import LOCK, lock_folder, refuse_links
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "read_run",
     "refuse_links",
     "run_options",
+    "step_times",
     "verdict_line",
     "versions",
 ]

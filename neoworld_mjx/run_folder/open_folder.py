@@ -150,6 +150,8 @@ class RunFolder:
         self.path = Path(path)
         self.waited = lambda: 0.0
         self._visited: set[str] = set()
+        self._concurrent: Step | None = None
+        """Step whose parts run at once."""
         self._kept: tuple[str, ...] = ()
         """Steps that are kept even if their files were edited by hand."""
         if mode == "redo":
@@ -204,16 +206,36 @@ class RunFolder:
         return self._is_reusable(name, self._hashes(name, inputs))
 
     @contextlib.contextmanager
-    def step(
-        self, name: str, inputs: Mapping[str, object], *, started: Moment | None = None
-    ) -> Iterator[Path | None]:
+    def concurrent(self, step: Step) -> Iterator[None]:
+        """Time the parts of a step that run at once: `with run.concurrent(...): ...`.
+
+        Times of such parts overlap, so run.json has one time for all of them, under `concurrent`.
+        """
+        before, began = self.data["steps"].copy(), self.now()
+        self._concurrent = step
+        try:
+            yield
+        finally:
+            self._concurrent = None
+            entries = self.data["steps"].items()
+            if any(step_of(name) == step and before.get(name) is not e for name, e in entries):
+                times = self._since(began)
+                self.data.setdefault("concurrent", {})[step] = times
+                self.save()
+                report(_done(step, times), **_status(step, step))
+
+    def begin(self, name: str) -> None:
+        """Report that the work for a part of a concurrent step begins."""
+        report(f"{name}: started", **_status(name, name))
+
+    @contextlib.contextmanager
+    def step(self, name: str, inputs: Mapping[str, object]) -> Iterator[Path | None]:
         """Run a step unless it is finished: `with run.step(...) as out: if out: ...`.
 
         Args:
             name: one of `STEPS`, or a part of a step, such as "program/cup".
             inputs: everything that determines the files that the step writes: paths of files or
                 folders, whose contents are hashed, pydantic models and JSON values.
-            started: start of the step's work, from `now`; by default, the time of this call.
 
         Yields:
             An empty staging folder for the step's files, which are moved to the same relative paths
@@ -230,13 +252,14 @@ class RunFolder:
         if self._is_reusable(name, hashes):
             yield None
             return
-        started = started or self.now()
+        began, concurrent = self.now(), step_of(name) == self._concurrent
         old_outputs = self._forget(name)
         staged = self.path / STAGING / name.replace("/", ".")
         with disk_errors(self.path):
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
-            report(f"{name}: started", **_status(name, name))
+            if not concurrent:
+                self.begin(name)
             yield staged
             names = [
                 path.relative_to(staged).as_posix() for path in staged.rglob("*") if path.is_file()
@@ -252,20 +275,10 @@ class RunFolder:
             obsolete = set(old_outputs) - set(outputs)
             delete_files(self.path, obsolete)
             self._restore(obsolete)
-        # If the clock is set back, negative times would make run.json invalid.
-        seconds, waiting = (
-            max(end - start, 0.0) for end, start in zip(self.now(), started, strict=True)
-        )
-        self.data["steps"][name] = {
-            "seconds": round(seconds, 3),
-            "waiting_s": round(waiting, 3),
-            "inputs": hashes,
-            "outputs": outputs,
-        }
+        times = {} if concurrent else self._since(began)
+        self.data["steps"][name] = {**times, "inputs": hashes, "outputs": outputs}
         self.save()
-        waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
-        computed = f"{name}: done in {max(seconds - waiting, 0.0):.1f} s{waited}"
-        report(computed, **_status(name, step_of(name)))
+        report(_done(name, times), **_status(name, step_of(name)))
 
     def before(self, step: Step, name: str) -> Path:
         """Return the path of the version of a file that the steps before `step` left.
@@ -301,20 +314,11 @@ class RunFolder:
         """Return the current moment."""
         return Moment(time.perf_counter(), self.waited())
 
-    def seconds(self) -> dict[str, float]:
-        """Return the duration of each step's last execution, summed over its parts [s]."""
-        return self._by_step("seconds")
-
-    def waiting(self) -> dict[str, float]:
-        """Return the time that each step waited for models, summed over its parts [s]."""
-        return self._by_step("waiting_s")
-
-    def _by_step(self, key: str) -> dict[str, float]:
-        total: dict[str, float] = {}
-        for name, entry in self.data["steps"].items():
-            step = step_of(name)
-            total[step] = round(total.get(step, 0.0) + entry.get(key, 0.0), 3)
-        return total
+    def _since(self, began: Moment) -> dict[str, float]:
+        """Return the time and the time of waiting since a moment [s], as in run.json."""
+        # If the clock is set back, negative times would make run.json invalid.
+        seconds, waiting = (max(b - a, 0.0) for a, b in zip(began, self.now(), strict=True))
+        return {"seconds": round(seconds, 3), "waiting_s": round(waiting, 3)}
 
     def finish(self, until: str | None = None) -> None:
         """Mark the run as finished, or as stopped after step `until`.
@@ -368,7 +372,11 @@ class RunFolder:
             return False
         if step_of(name) in self._kept:
             if entry["inputs"] != hashes:
-                _log.warning("%s: kept although its inputs have changed", name)
+                _log.warning(
+                    "%s: kept although its inputs have changed; --from %s uses them",
+                    name,
+                    step_of(name),
+                )
             edited = self._edited(entry)
             if edited:  # Record the edits as outputs, so that a later --resume keeps them.
                 entry["outputs"].update({path: content_hash(self.path / path) for path in edited})
@@ -449,6 +457,14 @@ class RunFolder:
             ) from None
         except OSError as error:
             raise RunError(f"step {name} cannot read {error.filename}: {error.strerror}") from None
+
+
+def _done(name: str, times: Mapping[str, float]) -> str:
+    if not times:
+        return f"{name}: done"
+    waiting = times["waiting_s"]
+    waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
+    return f"{name}: done in {max(times['seconds'] - waiting, 0.0):.1f} s{waited}"
 
 
 def _status(name: str, step: str) -> dict[str, str]:

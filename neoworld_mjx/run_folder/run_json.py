@@ -19,8 +19,9 @@ from ..errors import ConfigError, RunError
 from ..io import file_bounds, read_json
 from ..io.files import stays_inside
 from ..io.text_files import validation_message
+from ..names import Step
 from ..options import option_values
-from .staging import writes
+from .staging import step_of, writes
 
 FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000
@@ -63,6 +64,11 @@ def _check_outputs(steps: dict[str, _Step]) -> dict[str, _Step]:
     return steps
 
 
+class _Times(BaseModel):
+    seconds: _Seconds
+    waiting_s: _Seconds
+
+
 class _Fallback(BaseModel):
     step: str
     what: str
@@ -98,6 +104,7 @@ class _Record(BaseModel):
     started: str = ""
     fingerprint: str = ""
     steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS), AfterValidator(_check_outputs)]
+    concurrent: dict[Step, _Times] = {}
     fallbacks: _Entries
     notes: _Entries = []
     config: dict[str, Any] = {}
@@ -135,6 +142,27 @@ def read_run(path: Path) -> dict[str, Any]:
             f"{file} is damaged: {reason}; repair it, or start a new run in another folder"
         ) from None
     return _EMPTY_SECTIONS | {"notes": []} | data
+
+
+def step_times(run: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the duration and the time of waiting for models of each step [s].
+
+    They are those of the step's last execution, summed over parts that ran one after another.
+
+    Args:
+        run: the data of run.json.
+    """
+    total: dict[str, tuple[float, float]] = {}
+    for name, entry in run["steps"].items():
+        step = step_of(name)
+        seconds, waiting = total.get(step) or _pair(run.get("concurrent", {}).get(step, {}))
+        more = _pair(entry)
+        total[step] = (round(seconds + more[0], 3), round(waiting + more[1], 3))
+    return total
+
+
+def _pair(times: Mapping[str, Any]) -> tuple[float, float]:
+    return times.get("seconds", 0.0), times.get("waiting_s", 0.0)
 
 
 MAX_STEPS_OF_SEARCH = 20_000_000
@@ -196,7 +224,10 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "versions": versions(),
         "device": {"machine": platform.machine(), "cores": os.cpu_count()},
         "metrics": {},
-        **{key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps")},
+        **{
+            key: earlier.get(key, {})
+            for key in ("mllm", "supports", "fallbacks", "steps", "concurrent")
+        },
         **({"evidence": earlier["evidence"]} if "evidence" in earlier else {}),
         "notes": earlier.get("notes", []),
     }

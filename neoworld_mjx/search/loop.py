@@ -125,8 +125,8 @@ def search(
             clock["to_valid"] = seconds
         if number:
             best = "none" if step.best is None else f"{step.best:.3f}"
-            valid = f"{step.valid / step.candidates:.0%} valid"
-            report(f"iteration {number}/{total}: best {best}, {valid}")
+            outcome = _outcome(evaluation.scene, round_)
+            report(f"iteration {number}/{total}: best {best}, {outcome}")
             rate, left_s = result.rollouts / seconds, seconds / number * (total - number)
             update_progress(done=number, of=total, unit="iteration", rate=rate, left_s=left_s)
         return on_iteration is not None and bool(on_iteration(step))
@@ -142,6 +142,18 @@ def search(
         finished = add(number, round_) or converged(evaluation.problem, state)
     clock["search"] = time.perf_counter() - began
     return result
+
+
+def _outcome(scene: SceneModel, round_: Round) -> str:
+    """Return how many candidates are valid and, if none is, which objects rest in none."""
+    valid, rests = np.asarray(round_.scores.valid), np.asarray(round_.scores.rests)
+    outcome = f"{int(valid.sum())} of {len(valid)} candidates valid"
+    if valid.any():
+        return outcome
+    never = [name for k, name in enumerate(scene.names) if not rests[:, k].any()]
+    return f"{outcome}; " + (
+        f"in none did {', '.join(never)} rest" if never else "each object rests in some"
+    )
 
 
 def iterate(

@@ -81,8 +81,9 @@ class Refined:
 
     @property
     def iterations(self) -> int:
-        """Number of iterations; with settling, the initial layout counts as the first one."""
-        return len(self.history["valid"])
+        """Number of iterations of the search; the evaluation of the initial layout is none."""
+        sampled = np.sum(self.history["status"] != NOT_SAMPLED, axis=1)
+        return len(sampled) - int(len(sampled) > 0 and sampled[0] == 1)
 
     @property
     def rollouts(self) -> int:

@@ -15,7 +15,7 @@ RoomPatternKind = Literal[
     "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave"
 ]
 """Patterns of floors and walls."""
-PatternKind = Literal[RoomPatternKind, "brushed"]
+PatternKind = Literal[RoomPatternKind, "brushed", "checker"]
 PATTERN_KINDS: tuple[PatternKind, ...] = get_args(PatternKind)
 Share = Annotated[float, Field(ge=0, le=1)]
 RGB = tuple[Share, Share, Share]
@@ -30,6 +30,7 @@ STEPS_M: dict[PatternKind, float] = {
     "speckles": 0.010,
     "weave": 0.008,
     "brushed": 0.002,
+    "checker": 0.05,
 }
 """Default step of each kind [m]."""
 

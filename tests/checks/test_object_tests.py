@@ -9,6 +9,7 @@ from neoworld_mjx.checks import joint_checks, scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
 from neoworld_mjx.checks.verdict import BUDGET, Fault
 from neoworld_mjx.config import VerifyOptions
+from neoworld_mjx.program.sandbox import build
 from neoworld_mjx.spec import (
     Box,
     Capsule,
@@ -135,6 +136,20 @@ def test_cylinders_pass_upright_and_on_their_side(radius, height):
     tilt = (half, half * math.cos(heading), half * math.sin(heading), 0.0)
     lying = verify(cylinder, tilt=tilt)
     assert not [check for check in lying.checks if check.outcome == "TOOL_FAILURE"]
+
+
+@pytest.mark.parametrize("material", ["steel", "oak", "cardboard"])
+def test_a_cylinder_of_a_program_passes(material):
+    text = f"""from neoworld_mjx.program.sdk import Object, cylinder
+
+can = Object("can")
+body = can.part("body", material="{material}")
+body.add(cylinder(.0425, .036), by="bottom")
+"""
+    built = build(text)
+    assert built.spec is not None, built.errors
+    verdict = verify(built.spec)
+    assert verdict.passed, bad(verdict)
 
 
 def test_a_ball_that_rolls_when_tilted_has_no_fault():

@@ -7,6 +7,7 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
+from neoworld_mjx.estimate import align as align_module
 from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.spec import Sphere
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -224,6 +225,22 @@ def test_glass_keeps_its_composed_place(five):
     boxed = align(desk.boxed(wrong), photo).objects["glass"]
     assert (boxed.evidence, boxed.reason) == ("box", "it is see-through")
     assert boxed.uncertainty.across < result.objects["glass"].uncertainty.across
+
+
+def test_factors_of_the_uncertainty_are_along_across_heading_and_size(aligned, monkeypatch):
+    unknowns, k = aligned.fitted.unknowns, aligned.scene.index("box")
+    placed = unknowns.place(aligned.fitted.x[None])[0]
+    axes = unknowns.view_axes(placed, k)
+    towards = placed.pos[k][:2] - placed.camera.position()[:2]
+    assert abs(axes[0] @ towards) == pytest.approx(np.linalg.norm(towards), rel=1e-6)
+    covariance = np.diag([0.0, 0.0, 0.04, 0.09])
+    covariance[:2, :2] = axes.T @ np.diag([0.01**2, 0.02**2]) @ axes
+    rows = np.zeros((4, unknowns.size))
+    rows[:, unknowns.columns(k)] = covariance
+    monkeypatch.setattr(align_module, "CALIBRATION", (3.0, 5.0, 7.0, 11.0))
+    known = align_module._uncertainty(unknowns, placed, k, rows, {})
+    assert (known.along, known.across) == pytest.approx((0.03, 0.1))
+    assert (known.yaw, known.log_scale) == pytest.approx((1.4, 3.3))
 
 
 def among_others(color):

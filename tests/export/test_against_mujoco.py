@@ -137,8 +137,10 @@ def test_mjcf_has_the_mass_joints_colliders_and_gravity_of_the_compiled_model(tm
     for name, value in expected.items():
         assert np.allclose(actual[name], value, atol=2e-5), name
     colors = {tuple(m.rgba) for item in scene.objects for m in item.spec.materials}
+    # As in MuJoCo's renderer, a geom's own color precedes that of its material.
+    plain = (reference.geom_rgba == np.float32([0.5, 0.5, 0.5, 1])).all(axis=1)
     used = np.where(
-        reference.geom_matid[:, None] >= 0,
+        (plain & (reference.geom_matid >= 0))[:, None],
         reference.mat_rgba[reference.geom_matid] if reference.nmat else reference.geom_rgba,
         reference.geom_rgba,
     )

@@ -76,8 +76,8 @@ def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
     [
         (ParsedScene, "734f92b99f298641"),
         (SceneCritique, "f7f32e8731f015d8"),
-        (ProgramResponse, "13e36c10da528d5f"),
-        (GeometryCritique, "b449146b76100ba9"),
+        (ProgramResponse, "579e10f0326556b3"),
+        (GeometryCritique, "697b892b2191aea9"),
         (ArticulationCritique, "dc034d1408b08466"),
         (ExportCritique, "6df1d791495d7c56"),
         (MotionCritique, "4149a114de3ac0e8"),

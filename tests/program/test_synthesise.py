@@ -172,7 +172,7 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
     closed = ScriptedModel(written(GOOD), written(GOOD))
     wrong = synthesised(closed, UNJUDGED, box3d=box)
     assert {signal.code for signal in wrong.signals} == {"proportions", "wrong_size"}
-    assert "measured box: " in closed.requests[0].prompt
+    assert "box, fitted to the photo: " in closed.requests[0].prompt
 
 
 def test_a_revision_is_requested_with_the_picture_of_what_the_program_builds():
@@ -205,7 +205,7 @@ def test_a_critic_may_correct_the_measured_box():
     )
     outcome = synthesised(script)
     assert "by 0.300 m (z, up)" in script.requests[3].prompt
-    assert "the measured box was wrong" in script.requests[3].prompt
+    assert "the given box was wrong" in script.requests[3].prompt
     assert outcome.size == (0.4, 0.6, 0.3)
     assert outcome.text.strip() == flat.strip()
 

@@ -59,6 +59,13 @@ def shifted(model, x):
     return Layout(xy, zero, zero)
 
 
+def test_a_line_names_the_objects_that_rest_in_no_candidate(model):
+    lines = []
+    narrow = {"widest": 1.0, "sigma_xy": 1e-4}
+    search(model, options(1, cem=narrow), ENGINE, seed=1, clock={}, progress=lines.append)
+    assert lines[-1].endswith(f"0 of {POP} candidates valid; in none did plate rest")
+
+
 def moved(result):
     """Return a mask of the objects that the first search iteration moved."""
     return (np.ptp(np.asarray(result.rounds[1].layouts.xy), axis=0).max(axis=1) > 0).tolist()
@@ -72,6 +79,7 @@ def test_iterations_are_counted_reported_and_timed(model):
     assert len(whole.rounds) == 4 and whole.rollouts == 1 + 3 * POP
     assert lines[0] == "1 of 3 objects do not rest: plate"
     assert [line.partition(":")[0] for line in lines[1:]] == [f"iteration {t}/3" for t in (1, 2, 3)]
+    assert all(f" of {POP} candidates valid" in line for line in lines[1:])
     assert [(s.number, s.candidates) for s in steps] == [(0, 1), (1, POP), (2, POP), (3, POP)]
     for step, round_ in zip(steps, whole.rounds, strict=True):
         reward, valid = np.asarray(round_.scores.reward), np.asarray(round_.scores.valid)

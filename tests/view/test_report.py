@@ -18,7 +18,7 @@ from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
 from neoworld_mjx.search import scene_refinement
 from neoworld_mjx.view import server
 from neoworld_mjx.view.report import search
-from neoworld_mjx.view.report.objects import BOXES, SEARCH, SHAPES, all_moves
+from neoworld_mjx.view.report.objects import BOXES, REFINEMENT, SHAPES, all_moves
 from neoworld_mjx.view.report.run_report import write_report
 from neoworld_mjx.view.report.search import convergence
 from tests.support import scenes
@@ -440,4 +440,4 @@ def test_changes_by_each_step_are_those_of_the_accepted_round_and_of_the_search(
         assert moves["cup"][BOXES] == "1.2 cm, -5.0 %, +0.0°"
         assert moves["cup"][SHAPES] == "unchanged"
         assert moves["jug"][BOXES] == "unchanged: the fit was rejected"
-        assert moves["cup"][SEARCH].endswith(words)
+        assert moves["cup"][REFINEMENT].endswith(words)

@@ -14,7 +14,7 @@ from ..evidence_lines import evidence_lines
 from .page import cropped_picture, elements, read_json, size_cm, support_of
 
 TITLE = "Objects"
-BOXES, SHAPES, SEARCH = "fit to the boxes", "fit of the built shapes", "search"
+BOXES, SHAPES, REFINEMENT = "fit to the boxes", "fit of the built shapes", "refinement"
 LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
 """Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
 MARGIN = 0.12
@@ -92,7 +92,7 @@ def object_checks(verified: Mapping[str, Any]) -> list[Check]:
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the changes of each object by the two fits and the search, as text by step."""
+    """Return the changes of each object by the two fits and the refinement, as text by step."""
     rounds = (read_json(folder / "parse.json") or {}).get("rounds", [])
     accepted = [entry for entry in rounds if entry.get("kept")]
     parsed = (accepted[0].get("fit") or {}).get("objects", {}) if accepted else {}
@@ -108,7 +108,7 @@ def all_moves(folder: Path) -> dict[str, dict[str, str]]:
     composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
     if composed.is_file() and refined.is_file():
         for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
-            moves.setdefault(name, {})[SEARCH] = _change(
+            moves.setdefault(name, {})[REFINEMENT] = _change(
                 move.distance_m, move.size_ratio, move.yaw_deg, move.turn_deg
             )
     return moves

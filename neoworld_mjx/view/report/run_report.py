@@ -18,7 +18,7 @@ from ...config import Config
 from ...errors import NeoWorldError, RunError
 from ...io.files import write_atomic
 from ...quantities import count
-from ...run_folder import STEPS, read_run, refuse_links, verdict_line
+from ...run_folder import STEPS, read_run, refuse_links, step_times, verdict_line
 from ...spec import read_scene
 from . import objects, photograph, scene_3d, search
 from .page import document, elements, picture, read_json
@@ -178,18 +178,13 @@ def _scene_3d(folder: Path) -> Markup:
 
 
 def _time(run: dict[str, Any]) -> Markup:
-    seconds: dict[str, float] = {}
-    waiting: dict[str, float] = {}
-    for name, entry in run["steps"].items():
-        step = name.partition("/")[0]
-        seconds[step] = seconds.get(step, 0.0) + entry["seconds"]
-        waiting[step] = waiting.get(step, 0.0) + entry.get("waiting_s", 0.0)
-    if not seconds:
+    times = step_times(run)
+    if not times:
         return elements.section("Time", elements.missing("No step has finished yet."))
     rows = [
-        [step, f"{max(seconds[step] - waiting[step], 0.0):.1f}", f"{waiting[step]:.1f}"]
+        [step, f"{max(times[step][0] - times[step][1], 0.0):.1f}", f"{times[step][1]:.1f}"]
         for step in STEPS
-        if step in seconds
+        if step in times
     ]
     return elements.section(
         "Time", elements.table(["step", "#computing, s", "#waiting for models, s"], rows)

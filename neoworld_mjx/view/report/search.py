@@ -42,9 +42,10 @@ def convergence(path: Path) -> Markup:
     failed = sampled - np.sum(np.isfinite(reward), axis=1)
     best, mean = _over_finite(reward, np.max), _over_finite(reward, np.mean)
     chosen = np.where(np.isfinite(reward), reward, -np.inf).argmax(axis=1)
+    first = 0 if sampled[0] == 1 else 1  # Iteration 0 is the initial layout.
     rows = [
         [
-            *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", sampled[t], valid[t], failed[t]),
+            *(t + first, f"{best[t]:.4f}", f"{mean[t]:.4f}", sampled[t], valid[t], failed[t]),
             *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
         ]
         for t in range(len(reward))

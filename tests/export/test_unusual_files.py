@@ -1,0 +1,298 @@
+"""Forty unusual MJCF, URDF, mesh and glTF files, against MuJoCo, trimesh and known values."""
+
+import base64
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.export.importing import ImportedScene, import_file
+from neoworld_mjx.physics.mjcf import to_mjspec
+from tests.export.test_against_mujoco import facts, inertial, own_model
+
+BOX = "<geom type='box' size='.1 .1 .1'/>"
+BODY = f"<worldbody><body pos='0 0 1'><freejoint/>{BOX}</body></worldbody>"
+BLOCK = (
+    "<asset><mesh name='m' vertex='0 0 0 .2 0 0 .2 .3 0 0 .3 0 0 0 .4 .2 0 .4 .2 .3 .4 0 .3 .4'"
+    " {}/></asset><worldbody><body pos='0 0 1'><freejoint/><geom {} mesh='m'/></body></worldbody>"
+)
+WEDGE = BLOCK.replace(".2 .3 0 0 .3 0 0 0 .4 .2 0 .4 .2 .3 .4 0 .3 .4", "0 .3 0 0 0 .4")
+MJCF = {
+    "nested classes": "<default><geom density='300'/><default class='a'><geom type='box' "
+    "size='.1 .2 .05'/><joint axis='0 0 1' range='-30 30'/><default class='b'><geom "
+    "size='.05 .05 .05' density='800'/></default></default></default><worldbody>"
+    "<body childclass='a'><freejoint/><geom/><body pos='0 0 .2'><joint/><geom class='b'/>"
+    "<body pos='0 0 .2'><joint class='b' axis='1 0 0'/><geom/></body></body></body></worldbody>",
+    "fromto in a turned body, radians": "<compiler angle='radian' eulerseq='zyx'/><worldbody>"
+    "<body pos='1 2 .5' euler='.3 .2 .1'><freejoint/><geom type='capsule' size='.03' "
+    "fromto='0 0 0 .1 .2 .3'/><geom type='cylinder' size='.03' fromto='0 0 0 -.1 .2 .1'/>"
+    "<geom type='box' size='.02 .03' fromto='0 0 0 0 -.2 .1'/></body></worldbody>",
+    "extrinsic angles": f"<compiler eulerseq='XYZ'/><worldbody><body euler='30 20 10'>{BOX}<body "
+    f"pos='.3 0 0' euler='0 40 50'><joint axis='1 1 0' range='-20 40'/>{BOX}</body></body>"
+    "</worldbody>",
+    "other orientations": f"<worldbody><body axisangle='1 1 0 45'>{BOX}<body pos='.3 0 0' "
+    f"xyaxes='0 1 0 -1 0 0'><joint axis='0 1 0' range='0 30'/>{BOX}<geom type='box' "
+    "size='.1 .05 .02' zaxis='1 0 1' pos='0 0 .2'/></body></body></worldbody>",
+    "box from a mesh": BLOCK.format("", "type='box'"),
+    "capsule from a mesh": BLOCK.format("", "type='capsule'"),
+    "cylinder from a mesh's box": "<compiler fitaabb='true'/>"
+    + BLOCK.format("", "type='cylinder' fitscale='.5' euler='0 0 30'"),
+    "mirrored mesh": WEDGE.format("scale='-1 1 2'", "type='mesh'"),
+    "reference pose": WEDGE.format("refpos='.1 .2 .3' refquat='1 1 0 0'", "type='mesh'"),
+    "shell of a mesh": BLOCK.format("inertia='shell'", "type='mesh' mass='2'"),
+    "shell": BODY.replace("size=", "shellinertia='true' density='10' size="),
+    "total mass": f"<compiler settotalmass='5'/>{BODY}",
+    "stated inertia is ignored": "<compiler inertiafromgeom='true'/>"
+    + BODY.replace("<geom", "<inertial pos='0 0 0' mass='99' diaginertia='1 1 1'/><geom"),
+    "balanced inertia": "<compiler balanceinertia='true'/>"
+    + BODY.replace("<geom", "<inertial pos='0 0 0' mass='2' diaginertia='.01 .01 .05'/><geom"),
+    "groups of inertia": "<compiler inertiagrouprange='3 3'/>"
+    + BODY.replace(
+        "<geom", "<geom size='.3' group='1' contype='0' conaffinity='0'/><geom group='3'"
+    ),
+    "legs by replicate": f"<worldbody><body name='hub'><freejoint/>{BOX}<replicate count='4' "
+    "euler='0 0 90' sep='_'><body name='leg' pos='.3 0 0'><joint name='k' axis='0 1 0' "
+    f"range='-30 30'/>{BOX}</body></replicate></body></worldbody>",
+    "include": "<include file='part.xml'/><worldbody><body pos='2 0 0'><freejoint/>"
+    f"{BOX}</body></worldbody>",
+    "attach": "<asset><model name='s' file='sub.xml'/></asset><worldbody><body><freejoint/>"
+    f"{BOX}<frame pos='0 0 .4' euler='0 0 45'><attach model='s' body='tool' prefix='t_'/></frame>"
+    "</body></worldbody>",
+}
+"""Contents of <mujoco>, by kind of file."""
+PART = (
+    "<mujocoinclude><default><geom density='100'/></default><worldbody><body name='p'><freejoint/>"
+    f"{BOX}</body></worldbody></mujocoinclude>"
+)
+SUB = (
+    "<mujoco model='sub'><compiler angle='radian'/><worldbody><body name='tool' pos='9 9 9'>"
+    f"{BOX}<body name='jaw' pos='0 0 .2'><joint name='j' type='slide' axis='1 0 0' range='0 .05'/>"
+    f"{BOX}</body></body></worldbody></mujoco>"
+)
+
+
+@pytest.mark.parametrize("kind", MJCF)
+def test_mjcf_is_what_mujoco_compiles(tmp_path, kind):
+    (tmp_path / "part.xml").write_text(PART)
+    (tmp_path / "sub.xml").write_text(SUB)
+    path = tmp_path / "a.xml"
+    path.write_text(f"<mujoco>{MJCF[kind]}</mujoco>")
+    reference = mujoco.MjModel.from_xml_path(str(path))
+    own, _, _ = own_model(path)
+    expected, actual = facts(reference), facts(own)
+    names = expected.keys() - ({"geoms"} if reference.ngeom == reference.nmesh else set())
+    for name in names:
+        assert np.allclose(actual[name], expected[name], atol=2e-5), name
+    assert np.allclose(whole_inertia(own), whole_inertia(reference), rtol=2e-3, atol=1e-7)
+
+
+def whole_inertia(model: mujoco.MjModel) -> np.ndarray:
+    """Return the inertia of all bodies about their center of mass, shape [3, 3]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    offset = data.xipos - data.subtree_com[0]
+    turn = data.ximat.reshape(-1, 3, 3)
+    total = np.einsum("bij,bj,bkj->ik", turn, model.body_inertia, turn)
+    square = np.einsum("b,bi,bi->", model.body_mass, offset, offset) * np.eye(3)
+    return total + square - np.einsum("b,bi,bj->ij", model.body_mass, offset, offset)
+
+
+def test_a_model_that_attaches_itself_is_refused(tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(f"<mujoco><asset><model name='s' file='a.xml'/></asset>{BODY}</mujoco>")
+    with pytest.raises(SpecError, match="attaches itself"):
+        import_file(path)
+
+
+def test_the_color_of_a_geom_precedes_that_of_its_material(tmp_path):
+    material = "<asset><material name='m' rgba='1 0 0 1'/></asset>"
+    body = BODY.replace("<geom", "<geom material='m' rgba='0 1 0 1'")
+    path = tmp_path / "a.xml"
+    path.write_text(f"<mujoco>{material}{body}</mujoco>")
+    assert [m.rgba for m in import_file(path).spec.materials] == [(0, 1, 0, 1)]
+
+
+def block(size=(0.2, 0.3, 0.4), at=(0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+    return trimesh.creation.box(size, transform=trimesh.transformations.translation_matrix(at))
+
+
+def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(meshes)
+
+
+def half_inverted() -> trimesh.Trimesh:
+    faces = block().faces
+    return trimesh.Trimesh(block().vertices, np.vstack([faces[:6], faces[6:, ::-1]]), process=False)
+
+
+SLIVER = trimesh.Trimesh([[0, 0, 0.2], [1e-9, 0, 0.2], [0, 1e-9, 0.2]], [[0, 1, 2]])
+OBJ = """mtllib m.mtl
+v 0 0 0
+v .2 0 0
+v .2 .3 0
+v 0 .3 0
+v 0 0 .4
+v .2 0 .4
+v .2 .3 .4
+v 0 .3 .4
+vt 0 0
+vn 0 0 1
+usemtl red
+f 4 3 2 1
+f 5/1/1 6/1/1 7/1/1 8/1/1
+usemtl blue
+f 1 2 6 5
+f -7 -6 -2 -3
+f 3 4 8 7
+f 4 1 5 8
+"""
+MTL = "newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\nTr .5\n"
+BINARY = block().export(file_type="stl")
+MESHES = {
+    "touching bodies.stl": (joined(block(), block(at=(0.2, 0, 0))), 0.048),
+    "three in a row.ply": (joined(*(block(at=(0.2 * k, 0, 0)) for k in range(3))), 0.072),
+    "bodies that share part of a face.stl": (
+        joined(block((0.2, 0.2, 0.2)), block((0.4, 0.4, 0.1), (0, 0, 0.15))),
+        0.024,
+    ),
+    "equal triangles.stl": (joined(block(), block()), 0.024),
+    "half of the triangles inverted.stl": (half_inverted(), 0.024),
+    "a triangle of no size.stl": (joined(block(), SLIVER), 0.024),
+    "far from the origin.stl": (block(at=(500, 0, 0)), 0.024),
+    "quads and negative indices.obj": (OBJ, 0.024),
+    "lines that continue.obj": (OBJ.replace("4 3 2", "4 3 \\\n2").replace("\n", "\r\n"), 0.024),
+    "text.stl": (trimesh.exchange.stl.export_stl_ascii(block()), 0.024),
+    "binary that begins with solid.stl": (b"solid name" + BINARY[10:], 0.024),
+}
+"""File and volume [m^3], by kind and suffix."""
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_colliders_of_meshes_have_their_volume(tmp_path, kind):
+    content, volume = MESHES[kind]
+    path = tmp_path / f"mesh{Path(kind).suffix}"
+    (tmp_path / "m.mtl").write_text(MTL)
+    if isinstance(content, trimesh.Trimesh):
+        content = content.export(file_type=path.suffix[1:])
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    read = import_file(urdf(tmp_path / "a.urdf", path.name, mass=0))
+    own = to_mjspec(read.scene).compile()
+    assert own.body_mass.sum() == pytest.approx(400 * volume, rel=0.02)
+    assert np.allclose(
+        extent(own), np.ptp(trimesh.load(path, force="mesh").bounds, axis=0), atol=1e-3
+    )
+    if path.suffix == ".obj":
+        assert {m.rgba for m in read.spec.materials} >= {(1, 0, 0, 1), (0, 0, 1, 0.5)}
+
+
+def urdf(path: Path, mesh: str, mass: float = 2, scale: str = "1 1 1") -> Path:
+    shape = f"<geometry><mesh filename='{mesh}' scale='{scale}'/></geometry>"
+    stated = inertial(mass) if mass else ""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(
+        f"<robot name='r'><link name='a'>{stated}<visual>{shape}</visual><collision>{shape}"
+        "</collision></link></robot>"
+    )
+    return path
+
+
+def extent(model: mujoco.MjModel) -> np.ndarray:
+    """Return the edges of the box around all geoms [m], of which meshes and boxes are known."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    points = []
+    for g in range(model.ngeom):
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+            first = model.mesh_vertadr[model.geom_dataid[g]]
+            count = model.mesh_vertnum[model.geom_dataid[g]]
+            local = model.mesh_vert[first : first + count]
+        else:
+            local = np.array(list(np.ndindex(2, 2, 2))) * 2 - 1.0
+            local = local * model.geom_size[g]
+        points.append(local @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
+    return np.ptp(np.concatenate(points), axis=0)
+
+
+PLACES = {
+    "parent folder": ("p/urdf/a.urdf", "../meshes/m.stl", "p/meshes/m.stl"),
+    "package in a package": ("o/i/x/a.urdf", "package://i/meshes/m.stl", "o/i/meshes/m.stl"),
+    "escaped folder": ("p/urdf/a.urdf", "package://p/sub%20dir/m.stl", "p/sub dir/m.stl"),
+    "model of Gazebo": ("t/a.urdf", "model://t/meshes/m.stl", "t/meshes/m.stl"),
+}
+"""Place of the URDF, URI of the mesh, and place of the mesh."""
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_meshes_are_found_and_scaled(tmp_path, kind):
+    at, uri, mesh = PLACES[kind]
+    for folder in {Path(mesh).parts[0], str(Path(mesh).parents[1])}:
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / "package.xml").write_text("<package/>")
+    (tmp_path / mesh).parent.mkdir(parents=True, exist_ok=True)
+    block((200, 300, 400)).export(tmp_path / mesh)
+    read = import_file(urdf(tmp_path / at, uri, scale="-.001 .001 .002"))
+    own = to_mjspec(read.scene).compile()
+    assert extent(own) == pytest.approx([0.2, 0.3, 0.8], abs=1e-4)
+    assert own.body_mass.sum() == pytest.approx(2)
+
+
+CORNERS = np.asarray(block(at=(0.1, 0.15, 0.2)).vertices, np.float32)
+TRIANGLES = np.asarray(block().faces, np.uint16)
+TURN = [0, 0, 0.3826834, 0.9238795]
+PLAIN = {"mesh": 0, "name": "a"}
+NODES = {
+    "mirrored": [PLAIN | {"scale": [-1, 1, 1]}],
+    "uneven scales": [
+        {"children": [1], "scale": [1, 2, 1]},
+        PLAIN | {"rotation": TURN, "scale": [1, 1, 0.5], "translation": [0, 0.1, 0]},
+    ],
+    "matrix": [PLAIN | {"matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1]}],
+    "unused node": [PLAIN, {"mesh": 0, "translation": [9, 0, 0]}],
+    "second scene": [PLAIN | {"translation": [9, 9, 9]}, PLAIN],
+    "three of one mesh": [PLAIN | {"translation": [k, 0, 0]} for k in range(3)],
+    "camera and empty nodes": [PLAIN, {"camera": 0, "translation": [0, 0, 5]}, {"name": "empty"}],
+}
+SCENES = {"unused node": [[0]], "second scene": [[0], [1]], "uneven scales": [[0]]}
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_gltf_has_the_bounds_that_trimesh_reads(tmp_path, kind):
+    data = CORNERS.tobytes() + TRIANGLES.tobytes()
+    nodes = NODES[kind]
+    scenes = SCENES.get(kind, [list(range(len(nodes)))])
+    bounds = {"min": CORNERS.min(axis=0).tolist(), "max": CORNERS.max(axis=0).tolist()}
+    vectors = {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", **bounds}
+    indices = {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"}
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    path = tmp_path / "a.gltf"
+    path.write_text(
+        json.dumps(
+            {
+                "asset": {"version": "2.0"},
+                "scene": len(scenes) - 1,
+                "scenes": [{"nodes": scene} for scene in scenes],
+                "nodes": nodes,
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+                "accessors": [vectors, indices],
+                "bufferViews": [
+                    {"buffer": 0, "byteOffset": 0, "byteLength": 96},
+                    {"buffer": 0, "byteOffset": 96, "byteLength": 72},
+                ],
+                "buffers": [{"byteLength": len(data), "uri": uri}],
+                "cameras": [{"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.1}}],
+            }
+        )
+    )
+    read = import_file(path)
+    assert isinstance(read, ImportedScene)
+    expected = trimesh.load_scene(path)
+    x, y, z = np.ptp(expected.bounds, axis=0)
+    own = to_mjspec(read.spec).compile()
+    assert extent(own) == pytest.approx([x, z, y], abs=1e-4)
+    assert len(read.spec.objects) == len(expected.graph.nodes_geometry)
+    volume = sum(abs(mesh.volume) for mesh in expected.dump() if isinstance(mesh, trimesh.Trimesh))
+    assert own.body_mass.sum() == pytest.approx(400 * volume, rel=0.02)
