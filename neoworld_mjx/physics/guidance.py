@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from .array_types import AnyArray
 from .layout import Poses, rotation
-from .model import FREE, SceneModel
+from .model import FREE, CompiledScene
 
 INTERVAL_S = 0.02
 """Time between two updates of the spring forces, in engines that do not update them every step [s].
@@ -132,7 +132,7 @@ class GuidedBodies(NamedTuple):
         return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
 
 
-def guided_bodies(scene: SceneModel, poses: Poses, xp: Any = jnp) -> GuidedBodies:
+def guided_bodies(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> GuidedBodies:
     """Return the free objects of candidates, and springs that hold them at their placed poses."""
     static = scene.static
     m = static.mjm

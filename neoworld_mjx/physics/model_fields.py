@@ -11,10 +11,10 @@ import numpy as np
 
 from ..spec.scale import mimic_exponents
 from .layout import Poses
-from .model import FREE, MESH, SLIDE, SceneModel
+from .model import FREE, MESH, SLIDE, CompiledScene
 
 
-def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
+def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
     """Return the MjModel fields in which candidates differ, each with a leading [pop] axis.
 
     MuJoCo derives further fields from these (mj_setConst, bounding volumes). Of the derived fields,
@@ -79,7 +79,7 @@ def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
     return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
 
 
-def _mimic_data(scene: SceneModel, jnt: Any, xp: Any) -> Any:
+def _mimic_data(scene: CompiledScene, jnt: Any, xp: Any) -> Any:
     m = scene.static.mjm
     factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
     joints = {}
@@ -117,7 +117,7 @@ def _scale_field(field: np.ndarray, factor: Any) -> Any:
     return field * (factor if field.ndim == 1 else factor[..., None])
 
 
-def mesh_object(scene: SceneModel) -> np.ndarray:
+def mesh_object(scene: CompiledScene) -> np.ndarray:
     """Return the object that each mesh asset belongs to, shape [nmesh]."""
     m = scene.static.mjm
     owner = np.full(m.nmesh, -1)

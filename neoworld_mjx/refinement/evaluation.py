@@ -14,12 +14,11 @@ from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..physics.placed import Placed, measure_in_chunks, measure_settled, place_in_chunks
+from ..physics.rest import settle
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
-from ..physics.settling import settle
 from ..physics.sharding import REPLICATED, SHARDED, device_mesh, put
 from ..spec import SceneSpec
 from .choosing import Round
-from .finishing import resting_poses
 from .objective import Objective, Scores, evaluate
 
 
@@ -134,7 +133,7 @@ class Evaluation(NamedTuple):
     def settled_poses(self, scene: SceneSpec, layout: Layout) -> Poses:
         """Return the padded poses of a settled scene, with the scales of the padded layout."""
         scale = np.exp(np.asarray(layout.log_scale)[:, : len(self.scene.names)])
-        rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
+        rest = pad_objects(self.scene.poses(scene, scale), self.arrays.count)
         return jax.tree.map(np.float32, rest)
 
     def _score_single(

@@ -37,9 +37,7 @@ def refined(searched, *, passed=True, layout=None, result=None, **given):
     measure = initial.measure
     if not passed:
         measure = measure.model_copy(update={"displacement": {"low": 0.5, "ball": 1.5}})
-    finished = initial._replace(
-        passed=passed, measure=measure, moved_away=() if passed else ("ball",)
-    )
+    finished = initial._replace(passed=passed, measure=measure)
     layout = Layout.zero(1, len(model.names) + 3) if layout is None else layout
     winner = Winner((0, 2), layout, finished, initial.measure, 3)
     call = {"engine": "native", "clock": {"search": 2.0}, "delivered": {"absolute": 1.0}}

@@ -13,8 +13,8 @@ from neoworld_mjx.physics.placed import (
     TILT_BOUND_LYING,
     settling_displacement,
 )
-from neoworld_mjx.physics.settling import settle, settle_scene, with_damped_joints, with_world_poses
-from neoworld_mjx.spec import Box, world_poses
+from neoworld_mjx.physics.rest import settle, settle_scene, with_damped_joints
+from neoworld_mjx.spec import Box, with_world_poses, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
 from tests.support import scenes
 from tests.support.scenes import compile_scene
