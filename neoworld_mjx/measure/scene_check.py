@@ -150,6 +150,7 @@ def rest_and_measure(
     settles: bool = True,
     placed: Poses | None = None,
     engine: Engine | None = None,
+    stop_early: bool = False,
 ) -> tuple[Poses, list[SceneMeasure]]:
     """Settle candidates, let them fall, and measure them; see `physics.rest.rest`.
 
@@ -160,6 +161,7 @@ def rest_and_measure(
         settles: if False, the candidates fall from `start`.
         placed: poses to which displacements by settling are relative; by default `start`.
         engine: engine that settles the candidates; by default `native`.
+        stop_early: if True, candidates at rest are not settled to the end.
 
     Returns:
         The settled poses, and a measure of each candidate with its displacement by settling.
@@ -168,7 +170,10 @@ def rest_and_measure(
         EngineError: a candidate has more contacts than MuJoCo's memory holds.
     """
     hold, duration = o.settle if settles else None, o.check_duration_s
-    rested = rest(world, start, hold=hold, free_s=duration, engine=engine, placed=placed)
+    rested = rest(
+        world, start, hold=hold, free_s=duration, engine=engine, placed=placed,
+        stop_early=stop_early,
+    )  # fmt: skip
     measures = measures_of(world, rested, duration, o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
     movable = np.flatnonzero(world.static.movable)
     moved = [{world.names[n]: float(row[n]) for n in movable} for row in rested.moved]

@@ -141,6 +141,8 @@ def guided_bodies(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> GuidedBo
     scale = poses.scale[:, owner]
     masses = (static.body_object == owner[:, None]) * m.body_mass
     mass = xp.sum(masses * scale[..., None] ** static.powers.body_mass, axis=-1)
+    if poses.variation is not None:
+        mass = mass * poses.variation.mass[:, owner]
     start = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
     return GuidedBodies(bodies, springs(bodies, start, scale, mass, xp))
 

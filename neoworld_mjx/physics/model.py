@@ -28,6 +28,7 @@ from .scene_arrays import SceneArrays, on_device, snapped_heights
 
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..spec.scale import mimic_exponents
-from .layout import Poses
-from .model import FREE, MESH, SLIDE, CompiledScene
+from .layout import Poses, Variation
+from .model import FREE, HINGE, MESH, SLIDE, CompiledScene
 
 
 def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
@@ -61,12 +61,39 @@ def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str,
         "qpos_spring": qpos0,
         "qpos": qpos,
     }
+    if poses.variation is not None:
+        fields |= _varied(scene, poses.variation, fields, xp)
     if m.neq:
         fields["eq_data"] = _mimic_data(scene, jnt, xp)
     if m.nsite:
         site = owner_scale(poses.scale, s.body_object[m.site_bodyid], xp)
         fields["site_pos"] = m.site_pos * site[..., None]
     return fields
+
+
+def _varied(scene: CompiledScene, v: Variation, fields: dict[str, Any], xp: Any) -> dict[str, Any]:
+    """Return the fields that a variation changes, and the contacts' friction."""
+    s, m = scene.static, scene.static.mjm
+    mass = owner_scale(v.mass, s.body_object, xp)
+    slides = np.array([1.0, 0.0, 0.0])  # the first coefficient is that of sliding
+    friction = owner_scale(v.friction, s.geom_object, xp)[..., None] ** slides
+    column = np.full(m.njnt, -1)
+    column[s.joints] = np.arange(len(s.joints))
+    of_dof = column[m.dof_jntid] if m.nv else np.zeros(0, int)
+    moves = s.joints[np.isin(m.jnt_type[s.joints], (SLIDE, HINGE))]
+    at = m.jnt_qposadr[moves]
+    shifted = fields["qpos"][:, at] + v.joint_shift[:, column[moves]]
+    times = lambda field, factor: field * factor.reshape(*factor.shape, *[1] * (field.ndim - 2))
+    return {
+        "body_mass": fields["body_mass"] * mass,
+        "body_inertia": fields["body_inertia"] * mass[..., None],
+        "geom_friction": m.geom_friction * friction,
+        "dof_frictionloss": times(
+            fields["dof_frictionloss"], owner_scale(v.joint_friction, of_dof, xp)
+        ),
+        "dof_damping": times(fields["dof_damping"], owner_scale(v.joint_damping, of_dof, xp)),
+        "qpos": _set_columns(fields["qpos"], at, shifted, xp),
+    }
 
 
 def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
@@ -76,7 +103,7 @@ def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
     whose scale is 1.
     """
     # Index -1 selects the appended column of ones.
-    return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
+    return xp.concatenate([scale, xp.ones((scale.shape[0], 1), scale.dtype)], axis=1)[:, owner]
 
 
 def _mimic_data(scene: CompiledScene, jnt: Any, xp: Any) -> Any:

@@ -204,12 +204,12 @@ def read_states(
         values = np.array(np.broadcast_to(initial[:, None], (pop, time, objects, width)))
         values[:, :, owner] = qpos[:, :, address[:, None] + np.arange(first, first + width)]
         poses.append(values)
-    shifts = [_joint_shift(static, k, start.scale, qpos) for k in range(len(static.joints))]
+    shifts = [_joint_shift(static, k, start, qpos) for k in range(len(static.joints))]
     shift = np.stack(shifts, axis=-1) if shifts else np.zeros((pop, time, 0), qpos.dtype)
     return poses[0], poses[1], shift
 
 
-def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: NDArray) -> NDArray:
+def _joint_shift(static: StaticScene, k: int, poses: Poses, qpos: NDArray) -> NDArray:
     """Return the distance of joint k from its initial position [m or rad], shape [pop, time]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
@@ -218,7 +218,9 @@ def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: NDArray) -> NDAr
         return angle_between(start, qpos[:, :, address : address + 4])
     start = qpos.dtype.type(static.start[address])
     if m.jnt_type[joint] == SLIDE:
-        start = (start * scale[:, static.joint_object[k]])[:, None]
+        start = (start * poses.scale[:, static.joint_object[k]])[:, None]
+    if poses.variation is not None:
+        start = start + np.asarray(poses.variation.joint_shift)[:, k, None]
     return np.abs(qpos[:, :, address] - start)
 
 

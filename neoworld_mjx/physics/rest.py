@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from mujoco.batch import Batch, SimulationError
 
 from ..config import SettleOptions
+from ..errors import EngineError
 from ..spec import SceneSpec
 from ..spec.pose import angle_between
 from .colliders import object_depths
@@ -74,6 +75,7 @@ def rest(
     free_s: float,
     engine: Engine | None = None,
     placed: Poses | None = None,
+    stop_early: bool = False,
 ) -> Rested:
     """Settle candidates under springs that fade, and let them fall freely from there.
 
@@ -87,14 +89,18 @@ def rest(
         free_s: duration of the free fall [s].
         engine: engine that settles the candidates; by default `native`.
         placed: poses to which `Rested.moved` is relative; by default `start`.
+        stop_early: if True, candidates at rest are not settled to the end; see `settle`.
 
     Raises:
-        EngineError: the engine cannot simulate the scene.
+        EngineError: the engine cannot simulate the scene, or `start` varies physical quantities
+            and the engine is not `native`.
     """
+    if start.variation is not None and engine is not None and engine.name != "native":
+        raise EngineError(f"engine {engine.name} cannot vary masses and frictions; use native")
     start = jax.tree.map(lambda leaf: np.asarray(leaf, float), start)
     end = start
     if hold is not None:
-        end = settle(scene, start, engine or NativeEngine(), hold, stop_early=False)
+        end = settle(scene, start, engine or NativeEngine(), hold, stop_early=stop_early)
         end = jax.tree.map(lambda leaf: np.asarray(leaf, float), end)
     placed = start if placed is None else placed
     moved = np.asarray(settling_displacement(scene.static, placed, end, np))
@@ -189,6 +195,7 @@ def settle(
         np.where(unsettled, start.quat, rollout.quat[:, -1]),
         start.scale,
         start.height,
+        start.variation,
     )
 
 

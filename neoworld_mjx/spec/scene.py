@@ -19,6 +19,7 @@ from ..io import read_model
 from ..io.names import UNIQUE, repeated
 from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
+from .correlation import PoseCorrelation
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
@@ -114,6 +115,10 @@ class SceneSpec(Spec):
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=MAX_OBJECTS)
     camera: Camera | None = None
     gravity: Vec3 = (0.0, 0.0, -9.81)
+    correlation: PoseCorrelation | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Correlations between the uncertainties of objects and camera; None if not aligned."""
     backdrop: Backdrop | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @model_validator(mode="before")
