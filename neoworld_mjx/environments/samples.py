@@ -31,8 +31,6 @@ fitted outline from the outline in the photograph."""
 MAX_SHARE = 0.05
 """Additional displacement, relative to the diagonal of the box: the estimate allows a program to be
 wrong in its proportions by a few percent, so sizes vary as much."""
-FEW_SAMPLES = 8
-"""Number of surface samples of an object in the compiled scene, which does not use them."""
 VERBS = {
     "max_depth_m": "overlaps",
     "settled_depth_m": "overlaps",
@@ -166,7 +164,7 @@ def sample(
         raise SpecError(f"sample: n is {n}, not a positive number of draws")
     spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
     o = options or RefineOptions()
-    model = compile_scene(spec, timestep=0.002, samples=FEW_SAMPLES)
+    model = compile_scene(spec, timestep=0.002)
     draws = draw(model, np.random.default_rng(seed), n, prior)
     layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), draws.layouts)
     placed = model.place_exactly(layouts)

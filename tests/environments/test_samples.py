@@ -1,18 +1,22 @@
 """Draws about a scene: their spread, their physics, and what is refused."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import neoworld_mjx as nw
+from neoworld_mjx.commands.sample_command import SampleCommand
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.samples import SceneSamples
-from neoworld_mjx.errors import EngineError, SpecError
+from neoworld_mjx.errors import EngineError, RunError, SpecError
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.model_fields import model_fields
 from neoworld_mjx.physics.posterior import PhysicalPrior, draw
 from neoworld_mjx.physics.rest import rest
-from neoworld_mjx.spec import Box, Camera, SceneSpec
+from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
@@ -185,3 +189,42 @@ def test_bad_input_gets_one_line(samples):
         PoseCorrelation(objects=(), lower=(1.5,))
     with pytest.raises(EngineError, match="mjx cannot vary masses"):
         rest(samples.model, samples.poses, hold=None, free_s=0.1, engine=MjxEngine())
+
+
+def test_the_code_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    """docs/how-to/sample-scenes.md"""
+    page = Path(__file__).parents[2] / "docs/how-to/sample-scenes.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
+    assert code.count("\n") <= 12
+    scene = two(known(across=0.004), known(across=0.004))
+    objects = [
+        item.model_copy(update={"name": {"one": "cup", "two": "spoon"}.get(item.name, item.name)})
+        for item in scene.objects
+    ]
+    scene = scene.model_copy(update={"objects": tuple(objects)})
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/scene.json").write_text(scene.to_json(), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(code.replace("64", "8"), {})
+    printed = capsys.readouterr().out
+    assert "stands in 8 of 8" in printed
+    low, high = map(float, re.search(r"interval (\S+) to (\S+) mm", printed).groups())
+    assert 120 < low < high < 160
+
+
+def test_the_command_writes_draws_and_scenes(tmp_path):
+    scene = two(known(across=0.004), known(across=0.004))
+    (tmp_path / "scene.json").write_text(scene.to_json(), encoding="utf-8")
+    command = SampleCommand(target=tmp_path / "scene.json", n=3, export=tmp_path / "scenes")
+    result = command.run()
+    assert result["draws"] == result["kept"] == 3 and result["refused"] == {}
+    assert command.lines(result)[0] == "stands in 3 of 3"
+    assert len(np.load(tmp_path / "samples.npz")["weights"]) == 3
+    stored = read_scene(tmp_path / "scenes/0001/scene.json")
+    assert stored.object("one").xy != scene.object("one").xy
+    assert (tmp_path / "scenes/0002/scene.xml").is_file()
+    with pytest.raises(RunError, match="not an empty folder"):
+        command.run()
+    bare = scenes.blocks().to_json()
+    (tmp_path / "scene.json").write_text(bare, encoding="utf-8")
+    assert "not aligned" in SampleCommand(target=tmp_path, n=1).run()["note"]
