@@ -57,6 +57,8 @@ class SceneSamples:
     poses: Poses
     """Settled poses, sizes and physical quantities of all draws."""
     cameras: tuple[Camera | None, ...]
+    measures: tuple[SceneMeasure, ...]
+    """Penetration, drift and displacement by settling of each draw."""
     stands: Bool[np.ndarray, " n"]
     """True for draws that pass the final check."""
     shift_px: Float[np.ndarray, "n object"]
@@ -178,7 +180,9 @@ def sample(
         _reason(spec, measure, o) or _pixel_reason(model.names, row)
         for measure, row in zip(measures, excess, strict=True)
     )
-    return SceneSamples(model, layouts, poses, cameras, stands, shift, reasons, seed)
+    return SceneSamples(
+        model, layouts, poses, cameras, tuple(measures), stands, shift, reasons, seed
+    )
 
 
 def _reason(scene: SceneSpec, measure: SceneMeasure, o: RefineOptions) -> str:

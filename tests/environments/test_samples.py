@@ -11,6 +11,7 @@ from neoworld_mjx.commands.sample_command import SampleCommand
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.samples import SceneSamples
 from neoworld_mjx.errors import EngineError, RunError, SpecError
+from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.model_fields import model_fields
@@ -70,6 +71,19 @@ def test_draws_have_the_deviations_and_correlations_of_the_estimate(rho):
     assert not draws.layouts.xy[:, 0].any()
 
 
+def test_an_object_on_a_wall_varies_along_the_wall():
+    wall = scenes.single("wall", (Box(size=(2.0, 0.1, 1.0)), (0, 0, 0)))
+    stands = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.0, 0.5))
+    on_wall = {"parent": "wall", "relation": "attached", "fixed_base": True, "xy": (0.0, -0.08)}
+    board = scenes.SceneObject(
+        name="board", spec=block("board"), uncertainty=known(across=0.02), **on_wall
+    )
+    scene = SceneSpec(objects=(stands, board), camera=CAMERA)
+    draws = draw(compile_for_simulation(scene), np.random.default_rng(0), 500)
+    x, y = draws.layouts.xy[:, 1].std(axis=0)
+    assert x == pytest.approx(0.02, rel=0.1) and y == 0.0
+
+
 def test_openings_vary_within_the_range_of_their_joint():
     scene = scenes.furnished()
     objects = [
@@ -111,6 +125,22 @@ def test_the_scene_of_a_draw_is_the_simulated_model(samples):
             np.testing.assert_allclose(given, getattr(model, name), rtol=1e-5, atol=1e-9)
     masses = np.asarray(samples.poses.variation.mass)
     assert np.log(masses).std() == pytest.approx(PhysicalPrior().density, rel=0.4)
+
+
+def test_a_draw_is_measured_like_its_scene_alone():
+    """The batch scales the meshes of its draws; a scene alone is compiled at its size."""
+    given = known(along=0.002, across=0.002, yaw=0.05, log_scale=0.08)
+    objects = [
+        item if item.environment else item.model_copy(update={"uncertainty": given})
+        for item in scenes.coffee().objects
+    ]
+    scene = scenes.coffee().model_copy(update={"objects": tuple(objects)})
+    samples = nw.sample(scene, 3, options=OPTIONS)
+    assert np.ptp(samples.poses.scale[:, 1:]) > 0.05
+    for k, measure in enumerate(samples.measures):
+        alone = scene_measure(samples.scene(k), duration=OPTIONS.check_duration_s)
+        assert measure.depths_m == pytest.approx(alone.depths_m, abs=2e-6)
+        assert measure.drift_m == pytest.approx(alone.drift_m, abs=2e-4)
 
 
 def test_losses_and_openings_of_a_draw_are_those_of_the_simulated_model():
