@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.samples import sample as sample
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
     from .evidence.known_camera import KnownCamera as KnownCamera
@@ -62,6 +63,7 @@ _LOCATIONS = {
     "reconstruct": "pipeline",
     "refine": "search.scene_refinement",
     "rollout": "physics.engine",
+    "sample": "environments.samples",
     "sweep": "sweeps.run",
 }
 _MODULES = {
@@ -96,6 +98,7 @@ __all__ = [
     "refine",
     "rewards",
     "rollout",
+    "sample",
     "sweep",
 ]
 

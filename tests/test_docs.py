@@ -17,6 +17,7 @@ COMMAND = re.compile(r"^    (?:uv run )?(?:--extra \w+ )?(?:[A-Z]+=\S+ )?(neowor
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 PLACEHOLDERS = {"SUITE": "photos", "SUITE,": "photos", "NAME": "coffee"}
 RUN_BY = {
+    "docs/how-to/sample-scenes.md": "tests/environments/test_samples.py",
     "docs/how-to/simulate-with-mjx.md": "tests/notebooks/test_mjx_loop.py",
     "docs/how-to/write-a-reward.md": "tests/notebooks/test_howto.py",
     "docs/how-to/write-your-own-search.md": "tests/notebooks/test_own_search.py",

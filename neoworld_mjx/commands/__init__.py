@@ -50,6 +50,10 @@ COMMANDS: dict[str, CommandEntry] = {
         ".object_commands:TemplateCommand",
         "List the object templates, or write the program of one.",
     ),
+    "sample": CommandEntry(
+        ".sample_command:SampleCommand",
+        "Draw scenes that a photograph allows, and count in how many of them every object rests.",
+    ),
     "export": CommandEntry(
         ".export_command:ExportCommand",
         "Export a scene or an object to a format or for a simulator, and list what is lost.",

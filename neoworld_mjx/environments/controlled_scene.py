@@ -6,7 +6,7 @@ A gripper may start in front of a handle, with one finger on each side of the ha
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from ..errors import SpecError, choices
 from ..export.link_frames import Frame, frames
 from ..export.write_drives import Drive, drives
+from ..physics.array_types import AnyArray
 from ..physics.gripper import CLOSED_M, OPENING_M, PREFIX, Gripper, attach_gripper
 from ..physics.layout import Layout
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
-from ..physics.photo_view import photo_deviations
+from ..physics.posterior import openings, pose_factor
 from ..spec import SceneObject, SceneSpec, link_poses, read_scene, world_poses
+from ..spec.correlation import EACH
 from ..spec.pose import from_matrix, rotate
 
 AWAY_M = 0.10
@@ -99,10 +101,19 @@ class ResetNoise:
     """Standard deviation of each joint position, as a fraction of the joint's range (of a full turn
     for a joint without limits)."""
     photo: float = 0.0
-    """Factor of additional noise of the position and yaw of each aligned object. At 1, the noise
-    has the standard deviations that the photograph leaves (`SceneObject.uncertainty`), so the
-    sampled scenes are consistent with the photograph. A round object is not turned, because every
-    heading looks the same."""
+    """Factor of additional noise of the position and yaw of each aligned object, fixed objects
+    included, and of openings that were estimated. At 1, the noise has the standard deviations and
+    correlations that the photograph leaves, as the draws of `neoworld_mjx.sample`. A round object
+    is not turned, because every heading looks the same. Sizes do not vary."""
+
+
+class InitialState(NamedTuple):
+    """Initial state of an episode."""
+
+    qpos: Float[AnyArray, " nq"]
+    body_pos: Float[AnyArray, "nbody 3"]
+    """Position of each body in its parent body [m]; noise moves the roots of fixed objects."""
+    body_quat: Float[AnyArray, "nbody 4"]
 
 
 @dataclass(frozen=True)
@@ -149,16 +160,15 @@ class ControlledScene:
         return np.array([self.model.joint(n).dofadr[0] for n in self.joints], int)
 
     @cached_property
-    def photo_deviations(
-        self,
-    ) -> tuple[Float[np.ndarray, "object 2 2"], Float[np.ndarray, " object"]]:
-        """Standard deviations that the photograph leaves; see `physics.photo_view`.
+    def pose_factor(self) -> Float[np.ndarray, "value normal"]:
+        """Factor of the covariance that the photograph leaves; see `physics.posterior`."""
+        return pose_factor(self.scene.spec).astype(np.float32)
 
-        The first array contains the deviations of the position [m], the second those of the yaw
-        [rad].
-        """
-        axes, others = photo_deviations(self.scene.spec)
-        return axes, others[:, 0]
+    @cached_property
+    def fixed(self) -> NDArray:
+        """Indices of the objects that have a fixed base but are no environment supports."""
+        movable, optimised = (np.asarray(x) for x in (self.scene.movable, self.scene.optimised))
+        return np.flatnonzero(optimised & ~movable)
 
     @cached_property
     def action_bounds(self) -> tuple[NDArray, NDArray]:
@@ -189,35 +199,42 @@ class ControlledScene:
         half = xp.where(a[-1] > 0, a[-1] / 2, CLOSED_M)
         return xp.concatenate([a[:-1], half[None], half[None]])
 
-    def reset_state(self, key: Array, noise: ResetNoise) -> Float[Array, " nq"]:
-        """Sample the initial qpos of an episode, shape [nq]. JAX can trace this method.
+    def reset_state(self, key: Array, noise: ResetNoise) -> InitialState:
+        """Sample the initial state of an episode. JAX can trace this method.
 
         Each object moves in the frame of its parent, together with the objects on it, and is
         placed at the height of its support. Joint positions are clipped to the joints' ranges.
         """
         qpos = jnp.asarray(self.initial_qpos, jnp.float32)
-        keys = jax.random.split(key, 3)
-        count = len(self.names)
-        free = self.scene.optimised
+        pos, quat = (jnp.asarray(x) for x in (self.model.body_pos, self.model.body_quat))
+        keys = jax.random.split(key, 5)
+        count, scene = len(self.names), self.scene
         if noise.xy or noise.yaw or noise.photo:
-            shift = jax.random.normal(keys[0], (1, count, 2))
-            turn = jax.random.normal(keys[1], (1, count))
-            axes, yaw = self.photo_deviations
-            xy = noise.xy * shift + noise.photo * jnp.einsum("oij,poj->poi", axes, shift)
-            yaw = jnp.hypot(noise.yaw, noise.photo * yaw) * turn
-            layout = Layout(xy * free[:, None], yaw * free, jnp.zeros((1, count)))
-            scene_qpos = model_fields(self.scene, self.scene.place(layout))["qpos"][0]
+            own = noise.xy * jax.random.normal(keys[0], (1, count, 2)) * scene.movable[:, None]
+            turn = noise.yaw * jax.random.normal(keys[1], (1, count)) * scene.movable
+            factor = self.pose_factor
+            drawn = factor @ jax.random.normal(keys[3], (factor.shape[1],)) * noise.photo
+            drawn = drawn[EACH:].reshape(1, count, EACH) * scene.optimised[:, None]
+            layout = Layout(own + drawn[..., :2], turn + drawn[..., 2], jnp.zeros((1, count)))
+            placed = scene.place(layout)
+            scene_qpos = model_fields(scene, placed)["qpos"][0]
             qpos = qpos.at[: scene_qpos.shape[0]].set(scene_qpos)
-        if noise.joints and len(self.joints):
+            roots = self.bodies[self.fixed]
+            pos = pos.at[roots].set(placed.pos[0, self.fixed])
+            quat = quat.at[roots].set(placed.quat[0, self.fixed])
+        if (noise.joints or noise.photo) and len(self.joints):
             joints = [self.model.joint(name) for name in self.joints]
             limited = np.array([bool(self.model.jnt_limited[j.id]) for j in joints])
             low, high = np.array([self.model.jnt_range[j.id] for j in joints]).T
             width = np.where(limited, high - low, 2 * np.pi)
             draw = noise.joints * width * jax.random.normal(keys[2], (len(joints),))
+            known = dict(zip(scene.static.joint_names, openings(scene)[0], strict=True))
+            deviation = noise.photo * np.array([known[name] for name in self.joints])
+            draw += deviation * jax.random.normal(keys[4], (len(joints),))
             sampled = qpos[self.qpos_of_joints] + draw
             clipped = jnp.where(limited, jnp.clip(sampled, low, high), sampled)
             qpos = qpos.at[self.qpos_of_joints].set(clipped)
-        return qpos
+        return InitialState(qpos, pos, quat)
 
 
 def controlled_scene(

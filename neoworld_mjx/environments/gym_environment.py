@@ -1,5 +1,6 @@
 """Gymnasium environment of a scene, simulated by C MuJoCo."""
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         horizon: int,
     ) -> None:
         self.controlled = controlled
-        self.model = controlled.model
+        self.model = copy.copy(controlled.model)
         self.data = mujoco.MjData(self.model)
         self.render_mode = "rgb_array"
         self._reward, self._noise, self._picture = reward, noise, picture
@@ -85,7 +86,8 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         key = jax.random.key(int(self.np_random.integers(2**31)))
         start = self.controlled.initial_qpos
         if self._noise != ResetNoise():
-            start = np.asarray(self.controlled.reset_state(key, self._noise), float)
+            start, pos, quat = self.controlled.reset_state(key, self._noise)
+            self.model.body_pos[:], self.model.body_quat[:] = pos, quat
         self.data.qpos[:] = start
         self.data.ctrl[:] = self.controlled.controls(self.controlled.hold_action)
         mujoco.mj_forward(self.model, self.data)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from mujoco import mjx
 
 from ..physics.gripper import PREFIX, Gripper
-from ..physics.mjx_model import MjxModel, make_data, mjx_step, put_compiled
+from ..physics.mjx_model import MjxModel, make_data, mjx_step, put_compiled, with_fields
 from ..spec import SceneSpec
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 
@@ -35,7 +35,9 @@ class EnvState(eqx.Module):
     """1 if the simulation has diverged, otherwise 0."""
     metrics: dict[str, Array]
     info: dict[str, Array]
-    """The entry `step` is the number of steps since the last reset."""
+    """The entry `step` is the number of steps since the last reset. With `ResetNoise.photo`,
+    `body_pos` and `body_quat` are the poses of bodies in their parents, in which fixed objects
+    differ."""
 
 
 class MjxEnv:
@@ -62,11 +64,13 @@ class MjxEnv:
 
     def reset(self, key: Array) -> EnvState:
         """Start an episode, with noise that depends on a random key. JAX can trace this method."""
-        qpos = self.controlled.reset_state(key, self._noise)
+        qpos, pos, quat = self.controlled.reset_state(key, self._noise)
         hold = self.controlled.controls(self.controlled.hold_action, jnp)
         data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
-        data = mjx.kinematics(self.mjx_model.mjx, data)
-        return self._state(data, jnp.zeros((), jnp.int32))
+        info = {"step": jnp.zeros((), jnp.int32)}
+        if self._noise.photo and len(self.controlled.fixed):
+            info |= {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
+        return self._state(mjx.kinematics(self._model(info).mjx, data), info)
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:
         """Apply an action, clipped to its bounds, for one control interval.
@@ -74,16 +78,22 @@ class MjxEnv:
         JAX can trace this method.
         """
         data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
-        data = mjx_step(self.mjx_model, data, self.n_substeps)
+        model = self._model(state.info)
+        data = mjx_step(model, data, self.n_substeps)
         # Body poses in the data lag one time step behind qpos.
-        data = mjx.kinematics(self.mjx_model.mjx, data)
-        return self._state(data, state.info["step"] + 1)
+        data = mjx.kinematics(model.mjx, data)
+        return self._state(data, state.info | {"step": state.info["step"] + 1})
 
-    def _state(self, data: mjx.Data, step: Array) -> EnvState:
+    def _model(self, info: dict[str, Array]) -> MjxModel:
+        """Return the model in which fixed objects have the poses of the episode."""
+        fields = {name: info[name] for name in ("body_pos", "body_quat") if name in info}
+        return with_fields(self.mjx_model, fields) if fields else self.mjx_model
+
+    def _state(self, data: mjx.Data, info: dict[str, Array]) -> EnvState:
         obs = self._observe(data)
         done = jnp.any(~jnp.isfinite(data.qpos)).astype(jnp.float32)
         reward = jnp.zeros(()) if self._reward is None else jnp.asarray(self._reward(obs))
-        return EnvState(data, obs, reward, done, {}, {"step": step})
+        return EnvState(data, obs, reward, done, {}, info)
 
     def _observe(self, data: mjx.Data) -> Observation:
         scene = self.controlled

@@ -20,6 +20,7 @@ from ..errors import PhotoError
 from ..evidence.evidence import Evidence
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
+from ..spec.correlation import PoseCorrelation
 from ..spec.scene import PoseUncertainty
 from .alignment import (
     Alignment,
@@ -237,6 +238,7 @@ def _result(
     covariance = equations.covariance()
     now = unknowns.place(x[None])[0]
     objects, items = {}, list(scene.objects)
+    correlation = _correlation(unknowns, now, covariance)
     for k in unknowns.free.tolist():
         entries = x[unknowns.columns(k)]
         evidence: EvidenceKind = "box" if k in equations.with_box else "none"
@@ -259,7 +261,7 @@ def _result(
             depths.get(k),
         )
     return Alignment(
-        scene.model_copy(update={"objects": tuple(items)}),
+        scene.model_copy(update={"objects": tuple(items), "correlation": correlation}),
         math.degrees(after.pitch - before.pitch),
         math.degrees(after.roll - before.roll),
         math.degrees(after.fovy - before.fovy),
@@ -274,6 +276,29 @@ def _result(
         ),
         fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
+
+
+def _correlation(
+    unknowns: Unknowns, now: Placement, covariance: Float[np.ndarray, "u u"]
+) -> PoseCorrelation:
+    """Return the correlations of the camera and of the free objects, in their view axes.
+
+    The deviations of the camera are multiplied by the factor of positions along the view, so that
+    camera and objects still agree about the pixels.
+    """
+    free = unknowns.free.tolist()
+    turn = np.eye(unknowns.first_joint)
+    for k in free:
+        rows = unknowns.columns(k)
+        if unknowns.in_wall[k].any():
+            turn[rows, rows] = np.diag([0.0, 0.0, 1.0, 1.0])
+            turn[rows.start + 1, rows.start] = 1.0  # across is along the wall
+        else:
+            turn[rows, rows][:2, :2] = unknowns.view_axes(now, k)
+    names = tuple(unknowns.scene.objects[k].name for k in free)
+    known = covariance[: unknowns.first_joint, : unknowns.first_joint]
+    turn[:CAMERA] *= CALIBRATION[0]
+    return PoseCorrelation.of(names, turn @ known @ turn.T)
 
 
 def _joints(

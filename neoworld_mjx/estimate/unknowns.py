@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotation
+from ..physics.photo_view import direction_in_wall
 from ..physics.placed import BALL_EXTENT
 from ..physics.sampling import is_round
 from ..physics.support import link_frame
@@ -145,7 +146,7 @@ class Unknowns:
             camera,
             np.array(free, int),
             frames(scene),
-            np.array([_direction_in_wall(scene, item) for item in scene.objects]),
+            np.array([direction_in_wall(scene, item) for item in scene.objects]),
             np.array([_shows_no_heading(item) for item in scene.objects]),
             np.array(lowest),
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
@@ -446,12 +447,3 @@ def _shows_no_heading(item: SceneObject) -> bool:
     size = np.subtract(*bounds(item.spec, item.joint_state)[::-1])
     upright = abs(matrix(np.array(item.base_tilt))[2, 2]) > math.cos(UPRIGHT)
     return bool(upright or np.ptp(size) < BALL_EXTENT * size.max())
-
-
-def _direction_in_wall(scene: SceneSpec, item: SceneObject) -> Float[np.ndarray, " 2"]:
-    """Return the horizontal direction in the wall to which an object is attached, or zero."""
-    if item.relation != "attached" or item.parent is None:
-        return np.zeros(2)
-    low, high = bounds(scene.object(item.parent).spec)
-    thinnest = int(np.argmin(np.subtract(high, low)))
-    return np.zeros(2) if thinnest == 2 else np.eye(2)[1 - thinnest]

@@ -9,18 +9,18 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import mujoco
 import numpy as np
-from mujoco import rollout
-from numpy.typing import NDArray
+from jaxtyping import Bool
 from pydantic import Field
 
 from ..config import RefineOptions
 from ..errors import CROWDED, EngineError, RunError
-from ..physics.colliders import object_depths, start_state
+from ..physics.engine import Engine, RolloutStatus
+from ..physics.layout import Poses
+from ..physics.model import CompiledScene, compile_for_simulation
+from ..physics.rest import Rested, rest
 from ..quantities import format_quantity
 from ..spec import SceneObject, SceneSpec, Spec
-from ..spec.pose import angle_between
 
 
 class SceneMeasure(Spec):
@@ -84,93 +84,103 @@ def scene_measure(
     Raises:
         EngineError: the scene has more contacts than MuJoCo's memory holds.
     """
-    model, data = start_state(scene, timestep)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    initial_depths = object_depths(scene, model, data)
-    names = [obj.name for obj in scene.objects if not obj.static]
-    base = np.array([model.jnt_qposadr[model.body(name).jntadr[0]] for name in names], int)
-    base = base[:, None] + np.arange(7)
-    initial = data.qpos.copy()
-    start = initial[base]
-    qpos, finite = _simulate(model, data, round(duration / timestep))
-    poses = qpos[:, base]
-    shift = np.linalg.norm(poses[..., :3] - start[:, :3], axis=-1).max(axis=0, initial=0.0)
-    tilt = np.degrees(angle_between(start[:, 3:], poses[..., 3:])).max(axis=0, initial=0.0)
-    drop = (start[:, 2] - poses[..., 2]).max(axis=0, initial=0.0)
-    slide, turn = _joint_motion(model, initial, qpos)
-    diverged = not (finite and np.isfinite(shift).all())
-    final_depths = {} if diverged else object_depths(scene, model, data)
-    stable = not diverged and bool(np.all(shift < max_drift) and np.all(tilt < max_tilt))
-    deepest = max(initial_depths.values(), default=0.0)
-    return SceneMeasure(
-        objects=len(scene.objects),
-        movable=len(names),
-        s_pen=int(deepest > max_depth),
-        max_depth_m=deepest,
-        settled_depth_m=max(final_depths.values(), default=0.0),
-        depths_m={f"{a}|{b}": depth for (a, b), depth in initial_depths.items()},
-        settled_depths_m={f"{a}|{b}": depth for (a, b), depth in final_depths.items()},
-        s_stab=stable if names else None,
-        max_drift_m=float(shift.max(initial=0.0)) if not diverged else float("inf"),
-        max_tilt_deg=float(tilt.max(initial=0.0)) if not diverged else float("inf"),
-        drift_m=dict(zip(names, shift.tolist(), strict=True)),
-        tilt_deg=dict(zip(names, tilt.tolist(), strict=True)),
-        drop_m=dict(zip(names, drop.tolist(), strict=True)),
-        joint_slide_m=slide,
-        joint_turn_deg=turn,
-        duration_s=duration,
-        diverged=diverged,
-    )
+    world = compile_for_simulation(scene, timestep=timestep)
+    rested = rest(world, world.poses(), hold=None, free_s=duration)
+    return measures_of(world, rested, duration, max_depth, max_drift, max_tilt)[0]
 
 
-def _joint_motion(
-    model: mujoco.MjModel, start: NDArray[np.float64], qpos: NDArray[np.float64]
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the largest motion of each sliding joint [m] and of each turning joint [deg]."""
-    slide, turn = {}, {}
-    for k in range(model.njnt):
-        kind, address, name = model.jnt_type[k], model.jnt_qposadr[k], model.joint(k).name
-        if kind == mujoco.mjtJoint.mjJNT_FREE:
-            continue
-        if kind == mujoco.mjtJoint.mjJNT_BALL:
-            quat = slice(address, address + 4)
-            angle = angle_between(start[quat], qpos[:, quat])
-            turn[name] = float(np.degrees(angle).max(initial=0.0))
-            continue
-        motion = float(np.abs(qpos[:, address] - start[address]).max(initial=0.0))
-        if kind == mujoco.mjtJoint.mjJNT_SLIDE:
-            slide[name] = motion
-        else:
-            turn[name] = float(np.degrees(motion))
-    return slide, turn
-
-
-def _simulate(
-    model: mujoco.MjModel, data: mujoco.MjData, steps: int
-) -> tuple[NDArray[np.float64], bool]:
-    """Simulate a scene from the state in `data`, in one call to MuJoCo.
+def measures_of(
+    world: CompiledScene,
+    rested: Rested,
+    duration: float,
+    max_depth: float,
+    max_drift: float,
+    max_tilt: float,
+) -> list[SceneMeasure]:
+    """Return the measures of candidates that fell freely; other arguments as `scene_measure`.
 
     Raises:
-        EngineError: MuJoCo ignored contacts, for which its memory was full.
+        EngineError: a candidate has more contacts than MuJoCo's memory holds.
+    """
+    if (rested.status == int(RolloutStatus.TRUNCATED)).any():
+        raise EngineError(f"the scene has more contacts than MuJoCo's memory holds: {CROWDED}")
+    static = world.static
+    movable = np.flatnonzero(static.movable)
+    names = [static.names[n] for n in movable]
+    slides, joints = static.joint_slides, np.array(static.joint_names, object)
+    by_name = lambda keys, values: dict(zip(keys, values.tolist(), strict=True))
+    pairs = lambda depths: {f"{a}|{b}": depth for (a, b), depth in depths.items()}
+    measures = []
+    for k, status in enumerate(rested.status):
+        drift, drop = rested.drift[k, movable], rested.drop[k, movable]
+        tilt, joint = np.degrees(rested.tilt[k, movable]), rested.joint_motion[k]
+        diverged = status != int(RolloutStatus.OK) or not np.isfinite(drift).all()
+        before = pairs(rested.depths[k])
+        after = {} if diverged else pairs(rested.end_depths[k])
+        stable = not diverged and bool((drift < max_drift).all() and (tilt < max_tilt).all())
+        measures.append(
+            SceneMeasure(
+                objects=len(static.names),
+                movable=len(names),
+                s_pen=int(_largest(before) > max_depth),
+                max_depth_m=_largest(before),
+                settled_depth_m=_largest(after),
+                depths_m=before,
+                settled_depths_m=after,
+                s_stab=stable if names else None,
+                max_drift_m=math.inf if diverged else float(drift.max(initial=0.0)),
+                max_tilt_deg=math.inf if diverged else float(tilt.max(initial=0.0)),
+                drift_m=by_name(names, drift),
+                tilt_deg=by_name(names, tilt),
+                drop_m=by_name(names, drop),
+                joint_slide_m=by_name(joints[slides], joint[slides]),
+                joint_turn_deg=by_name(joints[~slides], np.degrees(joint[~slides])),
+                duration_s=duration,
+                diverged=diverged,
+            )
+        )
+    return measures
+
+
+def rest_and_measure(
+    world: CompiledScene,
+    start: Poses,
+    o: RefineOptions,
+    *,
+    settles: bool = True,
+    placed: Poses | None = None,
+    engine: Engine | None = None,
+    stop_early: bool = False,
+) -> tuple[Poses, list[SceneMeasure]]:
+    """Settle candidates, let them fall, and measure them; see `physics.rest.rest`.
+
+    Args:
+        world: the compiled scene.
+        start: poses from which the candidates settle.
+        o: options of settling and of the final check.
+        settles: if False, the candidates fall from `start`.
+        placed: poses to which displacements by settling are relative; by default `start`.
+        engine: engine that settles the candidates; by default `native`.
+        stop_early: if True, candidates at rest are not settled to the end.
 
     Returns:
-        qpos after each step, shape [step, nq]; and True if the simulation stayed finite. If it did,
-        `data` is set to the last state.
+        The settled poses, and a measure of each candidate with its displacement by settling.
+
+    Raises:
+        EngineError: a candidate has more contacts than MuJoCo's memory holds.
     """
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.zeros(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
-    states, _ = rollout.rollout(model, data, initial_state=state[None], nstep=steps)
-    states = np.asarray(states).reshape(steps, -1)
-    w = mujoco.mjtWarning
-    if any(data.warning[k].number for k in (w.mjWARN_CONTACTFULL, w.mjWARN_CNSTRFULL)):
-        raise EngineError(f"the scene has more contacts than MuJoCo's memory holds: {CROWDED}")
-    bad = (w.mjWARN_BADQPOS, w.mjWARN_BADQVEL, w.mjWARN_BADQACC)
-    finite = bool(np.isfinite(states).all()) and not any(data.warning[k].number for k in bad)
-    if finite:
-        mujoco.mj_setState(model, data, states[-1], kind)
-        mujoco.mj_forward(model, data)
-    return states[:, 1 : 1 + model.nq], finite
+    hold, duration = o.settle if settles else None, o.check_duration_s
+    rested = rest(
+        world, start, hold=hold, free_s=duration, engine=engine, placed=placed,
+        stop_early=stop_early,
+    )  # fmt: skip
+    measures = measures_of(world, rested, duration, o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
+    movable = np.flatnonzero(world.static.movable)
+    moved = [{world.names[n]: float(row[n]) for n in movable} for row in rested.moved]
+    return rested.poses, [
+        measure.model_copy(update={"displacement": by_object})
+        for measure, by_object in zip(measures, moved, strict=True)
+    ]
 
 
 SETTLED_AWAY = "settled_away"
@@ -292,6 +302,23 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
 def passes(measure: SceneMeasure, o: RefineOptions) -> bool:
     """Return True if a scene satisfies every bound."""
     return all(check.passed for check in scene_checks(measure, o))
+
+
+def resting(
+    scene: SceneSpec, measure: SceneMeasure, o: RefineOptions
+) -> Bool[np.ndarray, " object"]:
+    """Return a mask of the objects that satisfy every bound.
+
+    Such an object penetrates no other object, is stable with its joints, and did not settle away.
+    """
+    failing = {name for check in scene_checks(measure, o) for name in check.failing}
+    faulty = {part.split("-", 1)[0] for name in failing for part in name.split("|")}
+    return np.array(
+        [
+            item.name not in faulty and (item.static or not measure.diverged)
+            for item in scene.objects
+        ]
+    )
 
 
 def _largest(values: dict[str, float]) -> float:

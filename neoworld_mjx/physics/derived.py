@@ -13,7 +13,7 @@ import numpy as np
 
 from ..spec.pose import quat_mul
 from .layout import Layout, Poses, compose_poses, rotation
-from .model import SceneModel, StaticScene, is_rotational
+from .model import CompiledScene, StaticScene, is_rotational
 from .model_fields import owner_scale
 from .native import open_batch
 
@@ -22,7 +22,7 @@ KNOTS, LOG_SPAN = 65, 1.0
 the parts of an object have different mass exponents."""
 
 
-def invweights(scene: SceneModel, poses: Poses) -> dict[str, Any]:
+def invweights(scene: CompiledScene, poses: Poses) -> dict[str, Any]:
     """Return body_invweight0 and dof_invweight0 of every candidate, with a leading axis [pop].
 
     If all parts of an object have the same mass exponent m, inverse masses scale with s^-m and
@@ -97,7 +97,7 @@ def _has_one_mass_exponent(static: StaticScene) -> bool:
 _log_tables: dict[StaticScene, tuple[np.ndarray, np.ndarray]] = {}
 
 
-def _tables(scene: SceneModel) -> tuple[np.ndarray, np.ndarray]:
+def _tables(scene: CompiledScene) -> tuple[np.ndarray, np.ndarray]:
     """Return the logs of body_invweight0 [knot, nbody, 2] and dof_invweight0 [knot, nv]."""
     if scene.static not in _log_tables:
         count = len(scene.static.names)

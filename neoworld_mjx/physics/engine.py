@@ -20,7 +20,7 @@ from ..errors import EngineError, SpecError, choices
 from .array_types import AnyArray
 from .guidance import Guidance
 from .layout import Layout, Poses
-from .model import SceneModel
+from .model import CompiledScene, SceneModel
 from .scene_arrays import SceneArrays
 
 
@@ -136,7 +136,7 @@ class Engine(Protocol):
 
     def rollout(
         self,
-        scene: SceneModel,
+        scene: CompiledScene,
         poses: Poses,
         *,
         duration: float = 1.0,
@@ -173,7 +173,7 @@ class BatchEngine(abc.ABC):
 
     def rollout(
         self,
-        scene: SceneModel,
+        scene: CompiledScene,
         poses: Poses,
         *,
         duration: float = 1.0,
@@ -186,7 +186,7 @@ class BatchEngine(abc.ABC):
         return self.simulate(scene, poses, Schedule(*steps, early_stop, guidance))
 
     @abc.abstractmethod
-    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+    def simulate(self, scene: CompiledScene, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate on a schedule; see `Engine.rollout`."""
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from .array_types import AnyArray
 from .layout import Poses, rotation
-from .model import FREE, SceneModel
+from .model import FREE, CompiledScene
 
 INTERVAL_S = 0.02
 """Time between two updates of the spring forces, in engines that do not update them every step [s].
@@ -132,7 +132,7 @@ class GuidedBodies(NamedTuple):
         return self._replace(springs=Springs(*(leaf[rows] for leaf in self.springs)))
 
 
-def guided_bodies(scene: SceneModel, poses: Poses, xp: Any = jnp) -> GuidedBodies:
+def guided_bodies(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> GuidedBodies:
     """Return the free objects of candidates, and springs that hold them at their placed poses."""
     static = scene.static
     m = static.mjm
@@ -141,6 +141,8 @@ def guided_bodies(scene: SceneModel, poses: Poses, xp: Any = jnp) -> GuidedBodie
     scale = poses.scale[:, owner]
     masses = (static.body_object == owner[:, None]) * m.body_mass
     mass = xp.sum(masses * scale[..., None] ** static.powers.body_mass, axis=-1)
+    if poses.variation is not None:
+        mass = mass * poses.variation.mass[:, owner]
     start = xp.concatenate([poses.pos[:, owner], poses.quat[:, owner]], axis=-1)
     return GuidedBodies(bodies, springs(bodies, start, scale, mass, xp))
 

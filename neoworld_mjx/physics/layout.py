@@ -51,6 +51,24 @@ class Layout(Candidates):
         return cls(zeros(pop, objects, 2), zeros(pop, objects), zeros(pop, objects))
 
 
+class Variation(Candidates):
+    """Physical quantities of the candidates, relative to the compiled scene.
+
+    Joints are those of `StaticScene.joints`.
+    """
+
+    mass: Float[AnyArray, "pop object"]
+    """Factors of masses and moments of inertia."""
+    friction: Float[AnyArray, "pop object"]
+    """Factors of the sliding friction of contacts."""
+    joint_friction: Float[AnyArray, "pop joint"]
+    """Factors of the dry friction of joints."""
+    joint_damping: Float[AnyArray, "pop joint"]
+    """Factors of the damping of joints."""
+    joint_shift: Float[AnyArray, "pop joint"]
+    """Changes of the initial positions of hinges and slides [rad or m]; 0 for ball joints."""
+
+
 class Poses(Candidates):
     """World poses of all objects of the candidates, from `SceneModel.place`."""
 
@@ -62,6 +80,8 @@ class Poses(Candidates):
     """Isotropic scale factors."""
     height: Float[AnyArray, "pop object"]
     """Snapped height above the support frame's origin [m]; the `z` of a SceneObject."""
+    variation: Variation | None = None
+    """Other physical quantities of the candidates; None if they are those of the compiled scene."""
 
 
 class Arrangement(NamedTuple):

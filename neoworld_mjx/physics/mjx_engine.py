@@ -30,7 +30,7 @@ from .mjx_model import (
     put_model,
     with_fields,
 )
-from .model import SceneModel, StaticScene
+from .model import CompiledScene, StaticScene
 from .recorder import Recorder, simulate_in_chunks
 from .sharding import REPLICATED, SHARDED, device_mesh, map_shards, put
 
@@ -61,11 +61,11 @@ class MjxEngine(BatchEngine):
         """Split populations over `devices`; if None, over all devices of JAX's default backend."""
         self.devices = tuple(jax.devices() if devices is None else devices)
         self.mesh = device_mesh(self.devices)
-        self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, SceneModel]] = (
+        self._scenes: weakref.WeakKeyDictionary[StaticScene, tuple[MjxModel, CompiledScene]] = (
             weakref.WeakKeyDictionary()
         )
 
-    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+    def simulate(self, scene: CompiledScene, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`."""
         model, scene = self.on_devices(scene)
         poses = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), poses)
@@ -85,7 +85,7 @@ class MjxEngine(BatchEngine):
         return simulate_in_chunks(scene.static, poses, size, schedule, run)
 
     def _simulate_chunk(
-        self, model: MjxModel, scene: SceneModel, poses: Poses, schedule: Schedule
+        self, model: MjxModel, scene: CompiledScene, poses: Poses, schedule: Schedule
     ) -> Rollout:
         """Simulate record by record; drop stopped candidates once the rest fits a smaller size."""
         fields, start = _prepare(scene, poses)
@@ -143,7 +143,7 @@ class MjxEngine(BatchEngine):
             return jax.device_put(tree, self.devices[0])
         return put(tree, self.mesh, SHARDED)
 
-    def on_devices(self, scene: SceneModel) -> tuple[MjxModel, SceneModel]:
+    def on_devices(self, scene: CompiledScene) -> tuple[MjxModel, CompiledScene]:
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
             arrays, rest = eqx.partition(scene, eqx.is_array)
@@ -157,13 +157,13 @@ class MjxEngine(BatchEngine):
 
 
 @eqx.filter_jit
-def _prepare(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
+def _prepare(scene: CompiledScene, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
     """Return the model fields and initial states of candidates."""
     return candidate_fields(scene, poses)
 
 
 @eqx.filter_jit
-def _guided_bodies(scene: SceneModel, poses: Poses) -> GuidedBodies:
+def _guided_bodies(scene: CompiledScene, poses: Poses) -> GuidedBodies:
     return guided_bodies(scene, poses)
 
 

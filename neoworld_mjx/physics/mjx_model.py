@@ -37,7 +37,7 @@ from .manifold import (
     geom_solids,
     manifolds,
 )
-from .model import SceneModel
+from .model import CompiledScene, SceneModel
 from .model_fields import model_fields
 
 MjxState = Any
@@ -213,7 +213,7 @@ class MjxModel(eqx.Module):
     """True if any geom is an ellipsoid."""
 
 
-def put_model(scene: SceneModel) -> MjxModel:
+def put_model(scene: CompiledScene) -> MjxModel:
     """Put a scene on JAX's default device.
 
     Raises:
@@ -276,7 +276,7 @@ def _near_at_start(mjm: mujoco.MjModel, start: np.ndarray, pairs: GeomPairs) -> 
     return int(np.sum(np.asarray(gap) < NEAR_GAP_M))
 
 
-def candidate_fields(scene: SceneModel, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
+def candidate_fields(scene: CompiledScene, poses: Poses) -> tuple[Fields, Float[Array, "pop nq"]]:
     """Return the fields of `mjx.Model` in which candidates differ, and their initial states."""
     fields = model_fields(scene, poses) | invweights(scene, poses)
     return {name: fields[name] for name in MODEL_FIELDS if name in fields}, fields["qpos"]

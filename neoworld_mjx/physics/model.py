@@ -1,5 +1,7 @@
 """Compiled scenes. A scene is compiled once for any number of layouts."""
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -8,15 +10,17 @@ import equinox as eqx
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float
 from neoworld_kernels import sorted_samples
 
 from ..cache import free_memory_maps
 from ..errors import SpecError
-from ..spec import SceneSpec, bounds, read_scene, with_layout
+from ..spec import SceneSpec, bounds, read_scene, with_layout, with_world_poses, world_poses
 from ..spec.object import mass_exponent
+from ..spec.pose import pose
 from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
-from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal
+from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, frames
 from .mjcf import body_name, object_of_body, to_mjspec
 from .photo_view import photo_view
 from .sampling import extreme_points, is_round, surface_samples
@@ -24,6 +28,7 @@ from .scene_arrays import SceneArrays, on_device, snapped_heights
 
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
@@ -51,6 +56,7 @@ class StaticScene:
     spec: SceneSpec
     mjm: mujoco.MjModel
     arrangement: Arrangement
+    """Parameters of `place`; without support surfaces if the scene is only simulated."""
     names: tuple[str, ...]
     """Object names, in the order of the object axis."""
     root: np.ndarray
@@ -63,6 +69,13 @@ class StaticScene:
     powers: Powers
     start: np.ndarray
     """qpos of the composed scene, shape [nq]."""
+    corners: np.ndarray
+    """Corners of each object's bounding box in its frame, at its joint state [m], shape
+    [object, 8, 3]."""
+    round: np.ndarray
+    """True for objects that are symmetric about their frame's z axis, shape [object]."""
+    movable: np.ndarray
+    """True for objects whose base is free, shape [object]."""
     characteristic_length: np.ndarray
     """Factor that converts the velocity of each dof to [m/s], shape [nv]: half the diagonal of the
     object's bounding box [m] for a rotational dof, 1 for a translational dof."""
@@ -76,27 +89,10 @@ class StaticScene:
     """True for sliding joints, whose shift is in m instead of rad, shape [joint]."""
 
 
-class SceneModel(SceneArrays):
-    """A compiled scene, valid for any number of layouts.
-
-    Pass a scene to jitted functions as an argument: `static` is a static field, and all other
-    fields are arrays. `place`, `model_fields` and the rewards of placed poses may be jitted,
-    vmapped and differentiated with respect to layouts. To jit `place`, call it inside a function,
-    since `jax.jit` cannot hash the bound method. A function that needs only the arrays should take
-    a `SceneArrays` padded by `pad_scene`, so that it is not recompiled for every scene.
-    """
+class CompiledScene(eqx.Module):
+    """A scene compiled for simulation only: any poses, but no placement or scoring of layouts."""
 
     static: StaticScene = eqx.field(static=True)
-
-    def __repr__(self) -> str:
-        """Return the scene's name, size and objects in two lines."""
-        pieces = sum(group.owner.shape[0] for group in self.colliders)
-        return (
-            f"SceneModel {self.spec.name!r}: {len(self.names)} objects, "
-            f"{sum(not item.static for item in self.spec.objects)} of them movable, "
-            f"{len(self.static.joints)} joints, {pieces} convex pieces, "
-            f"timestep {self.static.mjm.opt.timestep:g} s\n  objects: {', '.join(self.names)}"
-        )
 
     @property
     def spec(self) -> SceneSpec:
@@ -107,6 +103,60 @@ class SceneModel(SceneArrays):
     def names(self) -> tuple[str, ...]:
         """Object names, in the order of the object axis."""
         return self.static.names
+
+    def poses(
+        self, scene: SceneSpec | None = None, size: Float[np.ndarray, "1 object"] | None = None
+    ) -> Poses:
+        """Return the world poses of a scene's objects as one candidate, in double precision.
+
+        Args:
+            scene: a scene with the objects of this one. If None, it is this scene.
+            size: sizes of the objects relative to this scene. If None, they are equal.
+        """
+        posed = world_poses(self.spec if scene is None else scene).values()
+        pos, quat = (np.array([getattr(p, name) for p in posed])[None] for name in ("pos", "quat"))
+        return Poses(pos, quat, np.ones(pos.shape[:2]) if size is None else size, pos[..., 2])
+
+    def scene_at(
+        self,
+        poses: Poses,
+        k: int = 0,
+        scene: SceneSpec | None = None,
+        only: Bool[np.ndarray, " object"] | None = None,
+    ) -> SceneSpec:
+        """Return a scene whose movable objects have the world poses of a candidate.
+
+        Args:
+            poses: poses of the candidates.
+            k: index of the candidate.
+            scene: the scene at the candidate's sizes. If None, it is this scene.
+            only: mask of the objects that get these poses; the others move with their parents.
+        """
+        pos, quat = (np.asarray(x)[k].astype(float) for x in (poses.pos, poses.quat))
+        chosen = self.static.movable if only is None else self.static.movable & only
+        ends = {self.names[n]: pose(pos[n], quat[n]) for n in np.flatnonzero(chosen)}
+        return with_world_poses(self.spec if scene is None else scene, ends)
+
+
+class SceneModel(SceneArrays, CompiledScene):
+    """A compiled scene, valid for any number of layouts.
+
+    Pass a scene to jitted functions as an argument: `static` is a static field, and all other
+    fields are arrays. `place`, `model_fields` and the rewards of placed poses may be jitted,
+    vmapped and differentiated with respect to layouts. To jit `place`, call it inside a function,
+    since `jax.jit` cannot hash the bound method. A function that needs only the arrays should take
+    a `SceneArrays` padded by `pad_scene`, so that it is not recompiled for every scene.
+    """
+
+    def __repr__(self) -> str:
+        """Return the scene's name, size and objects in two lines."""
+        pieces = sum(group.owner.shape[0] for group in self.colliders)
+        return (
+            f"SceneModel {self.spec.name!r}: {len(self.names)} objects, "
+            f"{sum(not item.static for item in self.spec.objects)} of them movable, "
+            f"{len(self.static.joints)} joints, {pieces} convex pieces, "
+            f"timestep {self.static.mjm.opt.timestep:g} s\n  objects: {', '.join(self.names)}"
+        )
 
     def place_exactly(self, layouts: Layout) -> Poses:
         """Place candidates in double precision (NumPy), at the snapped heights of `place`."""
@@ -138,6 +188,58 @@ class SceneModel(SceneArrays):
         return with_layout(self.spec, xy, yaw, log_scale, np.asarray(height, float))
 
 
+CHECK_TIMESTEP_S = 0.002
+"""Time step of the final check [s]."""
+
+
+def compile_for_simulation(
+    scene: SceneSpec, *, timestep: float = CHECK_TIMESTEP_S
+) -> CompiledScene:
+    """Compile a scene for simulation only.
+
+    Args:
+        scene: the composed scene.
+        timestep: time step [s].
+
+    Raises:
+        SpecError: MuJoCo cannot compile the scene.
+    """
+    try:
+        mjm = to_mjspec(scene, timestep=timestep).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"scene {scene.name} does not compile: {error}") from None
+    # Otherwise MuJoCo would reset a diverged simulation to its initial state, as if it were stable.
+    mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    names = tuple(item.name for item in scene.objects)
+    owner = object_of_body(mjm, names)
+    joints = np.flatnonzero(mjm.jnt_type != FREE)
+    boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
+    unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    return CompiledScene(
+        StaticScene(
+            spec=scene,
+            mjm=mjm,
+            arrangement=frames(scene),
+            names=names,
+            root=np.array([mjm.body(name).id for name in names]),
+            body_object=owner,
+            geom_object=owner[mjm.geom_bodyid],
+            jnt_object=owner[mjm.jnt_bodyid],
+            dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
+            powers=_powers(scene, mjm),
+            characteristic_length=_characteristic_lengths(boxes, mjm, owner),
+            joints=joints,
+            joint_names=tuple(mjm.joint(j).name for j in joints),
+            joint_object=owner[mjm.jnt_bodyid[joints]],
+            joint_slides=mjm.jnt_type[joints] == SLIDE,
+            start=mjm.key("start").qpos.copy() if mjm.nkey else np.zeros(0),
+            corners=np.array([a + unit * (b - a) for a, b in boxes]),
+            round=np.array([is_round(o) for o in scene.objects]),
+            movable=np.array([not item.static for item in scene.objects]),
+        )
+    )
+
+
 def compile_scene(
     scene: SceneSpec,
     *,
@@ -162,50 +264,24 @@ def compile_scene(
             "a scene.json or a run folder"
         )
     free_memory_maps()
-    try:
-        mjm = to_mjspec(scene, timestep=timestep).compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise SpecError(f"scene {scene.name} does not compile: {error}") from None
-    # Otherwise MuJoCo would reset a diverged simulation to its initial state, as if it were stable.
-    mjm.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    names = tuple(item.name for item in scene.objects)
-    arrangement = _at_composed_heights(arrange(scene, reach=reach))
-    owner = object_of_body(mjm, names)
-    joints = np.flatnonzero(mjm.jnt_type != FREE)
-    static = StaticScene(
-        spec=scene,
-        mjm=mjm,
-        arrangement=arrangement,
-        names=names,
-        root=np.array([mjm.body(name).id for name in names]),
-        body_object=owner,
-        geom_object=owner[mjm.geom_bodyid],
-        jnt_object=owner[mjm.jnt_bodyid],
-        dof_object=owner[mjm.dof_bodyid] if mjm.nv else np.zeros(0, int),
-        powers=_powers(scene, mjm),
-        characteristic_length=_characteristic_lengths(scene, mjm, owner),
-        joints=joints,
-        joint_names=tuple(mjm.joint(j).name for j in joints),
-        joint_object=owner[mjm.jnt_bodyid[joints]],
-        joint_slides=mjm.jnt_type[joints] == SLIDE,
-        start=mjm.key("start").qpos.copy() if mjm.nkey else np.zeros(0),
+    static = dataclasses.replace(
+        compile_for_simulation(scene, timestep=timestep).static,
+        arrangement=_at_composed_heights(arrange(scene, reach=reach)),
     )
-    boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
-    unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     environment = np.array([item.environment for item in scene.objects])
     points = np.stack([surface_samples(o, samples) for o in scene.objects])
     arrays = SceneArrays(
         arrangement=static.arrangement,
         samples=sorted_samples(points),
         outline=np.stack([extreme_points(o) for o in scene.objects]),
-        round=np.array([is_round(o) for o in scene.objects]),
+        round=static.round,
         colliders=collect_colliders(scene.objects),
         photo=photo_view(scene),
         optimised=~environment,
-        movable=np.array([not item.static for item in scene.objects]),
+        movable=static.movable,
         diagonal=np.array([diagonal(item) for item in scene.objects]),
-        corners=np.array([a + unit * (b - a) for a, b in boxes]),
-        pair_mask=~np.eye(len(names), dtype=bool) & ~(environment[:, None] & environment),
+        corners=static.corners,
+        pair_mask=~np.eye(len(static.names), dtype=bool) & ~(environment[:, None] & environment),
         joint_object=static.joint_object,
         joint_slides=static.joint_slides,
     )
@@ -237,8 +313,9 @@ def load_scene(path: Path | str) -> SceneModel:
     return compile_scene(read_scene(Path(path)))
 
 
-def _characteristic_lengths(scene: SceneSpec, m: mujoco.MjModel, owner: np.ndarray) -> np.ndarray:
-    boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
+def _characteristic_lengths(
+    boxes: Sequence[tuple[np.ndarray, np.ndarray]], m: mujoco.MjModel, owner: np.ndarray
+) -> np.ndarray:
     half = np.array([np.linalg.norm(high - low) / 2 for low, high in boxes])
     length = np.ones(m.nv)
     for dof in filter(lambda dof: is_rotational(m, dof), range(m.nv)):

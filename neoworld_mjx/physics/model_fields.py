@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..spec.scale import mimic_exponents
-from .layout import Poses
-from .model import FREE, MESH, SLIDE, SceneModel
+from .layout import Poses, Variation
+from .model import FREE, HINGE, MESH, SLIDE, CompiledScene
 
 
-def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
+def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
     """Return the MjModel fields in which candidates differ, each with a leading [pop] axis.
 
     MuJoCo derives further fields from these (mj_setConst, bounding volumes). Of the derived fields,
@@ -61,12 +61,39 @@ def model_fields(scene: SceneModel, poses: Poses, xp: Any = jnp) -> dict[str, An
         "qpos_spring": qpos0,
         "qpos": qpos,
     }
+    if poses.variation is not None:
+        fields |= _varied(scene, poses.variation, fields, xp)
     if m.neq:
         fields["eq_data"] = _mimic_data(scene, jnt, xp)
     if m.nsite:
         site = owner_scale(poses.scale, s.body_object[m.site_bodyid], xp)
         fields["site_pos"] = m.site_pos * site[..., None]
     return fields
+
+
+def _varied(scene: CompiledScene, v: Variation, fields: dict[str, Any], xp: Any) -> dict[str, Any]:
+    """Return the fields that a variation changes, and the contacts' friction."""
+    s, m = scene.static, scene.static.mjm
+    mass = owner_scale(v.mass, s.body_object, xp)
+    slides = np.array([1.0, 0.0, 0.0])  # the first coefficient is that of sliding
+    friction = owner_scale(v.friction, s.geom_object, xp)[..., None] ** slides
+    column = np.full(m.njnt, -1)
+    column[s.joints] = np.arange(len(s.joints))
+    of_dof = column[m.dof_jntid] if m.nv else np.zeros(0, int)
+    moves = s.joints[np.isin(m.jnt_type[s.joints], (SLIDE, HINGE))]
+    at = m.jnt_qposadr[moves]
+    shifted = fields["qpos"][:, at] + v.joint_shift[:, column[moves]]
+    times = lambda field, factor: field * factor.reshape(*factor.shape, *[1] * (field.ndim - 2))
+    return {
+        "body_mass": fields["body_mass"] * mass,
+        "body_inertia": fields["body_inertia"] * mass[..., None],
+        "geom_friction": m.geom_friction * friction,
+        "dof_frictionloss": times(
+            fields["dof_frictionloss"], owner_scale(v.joint_friction, of_dof, xp)
+        ),
+        "dof_damping": times(fields["dof_damping"], owner_scale(v.joint_damping, of_dof, xp)),
+        "qpos": _set_columns(fields["qpos"], at, shifted, xp),
+    }
 
 
 def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
@@ -76,10 +103,10 @@ def owner_scale(scale: Any, owner: np.ndarray, xp: Any = jnp) -> Any:
     whose scale is 1.
     """
     # Index -1 selects the appended column of ones.
-    return xp.concatenate([scale, xp.ones_like(scale[:, :1])], axis=1)[:, owner]
+    return xp.concatenate([scale, xp.ones((scale.shape[0], 1), scale.dtype)], axis=1)[:, owner]
 
 
-def _mimic_data(scene: SceneModel, jnt: Any, xp: Any) -> Any:
+def _mimic_data(scene: CompiledScene, jnt: Any, xp: Any) -> Any:
     m = scene.static.mjm
     factor = xp.ones((jnt.shape[0], *m.eq_data.shape), jnt.dtype)
     joints = {}
@@ -117,7 +144,7 @@ def _scale_field(field: np.ndarray, factor: Any) -> Any:
     return field * (factor if field.ndim == 1 else factor[..., None])
 
 
-def mesh_object(scene: SceneModel) -> np.ndarray:
+def mesh_object(scene: CompiledScene) -> np.ndarray:
     """Return the object that each mesh asset belongs to, shape [nmesh]."""
     m = scene.static.mjm
     owner = np.full(m.nmesh, -1)

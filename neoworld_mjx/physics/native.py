@@ -19,7 +19,7 @@ from .array_types import AnyArray
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule
 from .guidance import GuidedBodies, guided_bodies
 from .layout import Poses
-from .model import MESH, SceneModel, StaticScene
+from .model import MESH, CompiledScene, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .recorder import Recorder, simulate_in_chunks
 
@@ -47,7 +47,7 @@ class NativeEngine(BatchEngine):
         """Use `threads` threads; 0 uses all cores."""
         self.threads = threads
 
-    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+    def simulate(self, scene: CompiledScene, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate, in the precision of its poses; see `Engine.rollout`."""
         poses = jax.tree.map(np.asarray, poses)
         sleeps = schedule.early_stop is not None
@@ -76,13 +76,13 @@ _model_copies: "weakref.WeakKeyDictionary[StaticScene, list[mujoco.MjModel]]" = 
 """Model copies of scenes with meshes. Overwriting a copy takes a quarter of the time of copying."""
 
 
-def has_meshes(scene: SceneModel) -> bool:
+def has_meshes(scene: CompiledScene) -> bool:
     """Return whether any collision geom is a mesh."""
     return bool(np.any(scene.static.mjm.geom_type == MESH))
 
 
 def open_batch(
-    scene: SceneModel,
+    scene: CompiledScene,
     poses: Poses,
     threads: int = 0,
     model_copies: list[mujoco.MjModel] | None = None,
@@ -123,7 +123,7 @@ def open_batch(
 
 
 def _models_of_candidates(
-    scene: SceneModel,
+    scene: CompiledScene,
     fields: dict[str, np.ndarray],
     scale: AnyArray,
     model_copies: list[mujoco.MjModel],
@@ -144,7 +144,7 @@ def _models_of_candidates(
     return model_copies[:pop]
 
 
-def _mesh_owners(scene: SceneModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _mesh_owners(scene: CompiledScene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the object of each mesh, mesh vertex and bounding volume; -1 if there is none."""
     base, mesh = scene.static.mjm, mesh_object(scene)
     box, count = np.full(base.nbvh, -1), base.mesh_bvhnum
@@ -158,6 +158,8 @@ def _simulate(batch: Batch, recorder: Recorder, schedule: Schedule, bodies: Guid
     qpos, qvel, qacc = (batch.bind(name) for name in ("qpos", "qvel", "qacc"))
     applied, guidance = batch.bind("qfrc_applied"), schedule.guidance
     timestep = float(batch.model.opt.timestep)
+    if guidance is not None and schedule.early_stop is None:
+        batch.forward()  # warm-starts the first step, as in a simulation after mj_forward
     # MuJoCo reports gravity as the acceleration of a sleeping tree.
     tree, asleep = batch.model.dof_treeid, batch.bind("tree_asleep")
     for time, steps in itertools.product(range(schedule.records), recorder.segments()):

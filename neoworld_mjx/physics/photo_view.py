@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..spec import Camera, ObjectSpec, SceneSpec, support_frame, world_poses
+from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, bounds, support_frame, world_poses
 from ..spec.pose import yaw_of
 from .array_types import AnyArray
 from .sampling import surface_samples
@@ -92,7 +92,8 @@ def photo_deviations(
     Returns:
         Deviations of the positions, shape [object, 2, 2], and of the yaw [rad] and the log scale,
         shape [object, 2]. The columns of each 2x2 matrix are the deviations along and across the
-        viewing direction, as vectors in the frame of the object's support [m].
+        viewing direction, as vectors in the frame of the object's support [m]; of an object on a
+        wall, zero and the deviation along the wall.
     """
     poses = world_poses(scene)
     axes, yaw_and_scale = np.zeros((len(scene.objects), 2, 2)), np.zeros((len(scene.objects), 2))
@@ -106,8 +107,23 @@ def photo_deviations(
         along = math.atan2(y, x) - yaw_of(frame.quat)
         c, s = math.cos(along), math.sin(along)
         axes[k] = np.array([[c, -s], [s, c]]) * [uncertainty.along, uncertainty.across]
+        in_wall = direction_in_wall(scene, item)
+        if in_wall.any():
+            axes[k] = np.column_stack([np.zeros(2), in_wall * uncertainty.across])
         yaw_and_scale[k] = uncertainty.yaw or 0.0, uncertainty.log_scale
     return axes, yaw_and_scale
+
+
+def direction_in_wall(scene: SceneSpec, item: SceneObject) -> Float[np.ndarray, " 2"]:
+    """Return the horizontal direction in the wall to which an object is attached, or zero.
+
+    It is a unit vector in the frame of the object's support.
+    """
+    if item.relation != "attached" or item.parent is None:
+        return np.zeros(2)
+    low, high = bounds(scene.object(item.parent).spec)
+    thinnest = int(np.argmin(np.subtract(high, low)))
+    return np.zeros(2) if thinnest == 2 else np.eye(2)[1 - thinnest]
 
 
 def see_through(spec: ObjectSpec) -> bool:

@@ -18,6 +18,7 @@ from ..cache import computes_on_cpu
 from ..spec.pose import length
 from .array_types import AnyArray
 from .layout import Layout, Poses, rotation
+from .model import StaticScene
 from .scene_arrays import SceneArrays
 from .sharding import over_devices
 from .visibility import Visible, visibility
@@ -100,7 +101,7 @@ def measure_settled(scene: SceneArrays, start: Poses, end: Poses) -> Placed:
 
 
 def settling_displacement(
-    scene: SceneArrays, start: Poses, end: Poses, xp: Any = jnp
+    scene: SceneArrays | StaticScene, start: Poses, end: Poses, xp: Any = jnp
 ) -> Float[AnyArray, "pop object"]:
     """Return the displacement of objects by settling, relative to its bounds.
 

@@ -31,7 +31,9 @@ class Recorder:
         self.static, self.start = static, start
         records, self.every, self.early_stop, self.guidance = schedule
         pop = start.scale.shape[0]
-        self.qpos = np.zeros((pop, records, static.mjm.nq), np.float32)
+        precision = np.asarray(start.pos).dtype
+        self.qpos = np.zeros((pop, records, static.mjm.nq), precision)
+        """Recorded coordinates, in the precision of the poses."""
         self.last = np.full(pop, -1, np.int32)
         """Index of each candidate's last record."""
         self.status = np.full(pop, int(RolloutStatus.OK), np.int32)
@@ -142,7 +144,7 @@ class Recorder:
         pop, records, _ = self.qpos.shape
         time = np.minimum(np.arange(records), np.maximum(self.last, 0)[:, None])
         states = read_states(self.static, self.start, self.qpos[np.arange(pop)[:, None], time])
-        start = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), self.start)
+        start = jax.tree.map(np.asarray, self.start)
         unrecorded = self.last < 0
         pos, quat, joint_shift = states
         pos[unrecorded] = start.pos[:, None][unrecorded]
@@ -192,31 +194,33 @@ def read_states(
     """Extract object poses and joint shifts from recorded coordinates. Static objects do not move.
 
     Returns:
-        `pos`, `quat` and `joint_shift` of a `Rollout`, in single precision.
+        `pos`, `quat` and `joint_shift` of a `Rollout`, in the precision of the poses.
     """
     pop, time, _ = qpos.shape
     objects = start.scale.shape[1]
     owner, address = _free_bases(static)
     poses = []
     for initial, first, width in ((start.pos, 0, 3), (start.quat, 3, 4)):
-        values = np.broadcast_to(initial[:, None], (pop, time, objects, width)).astype(np.float32)
+        values = np.array(np.broadcast_to(initial[:, None], (pop, time, objects, width)))
         values[:, :, owner] = qpos[:, :, address[:, None] + np.arange(first, first + width)]
         poses.append(values)
-    shifts = [_joint_shift(static, k, start.scale, qpos) for k in range(len(static.joints))]
-    shift = np.stack(shifts, axis=-1) if shifts else np.zeros((pop, time, 0))
-    return poses[0], poses[1], shift.astype(np.float32)
+    shifts = [_joint_shift(static, k, start, qpos) for k in range(len(static.joints))]
+    shift = np.stack(shifts, axis=-1) if shifts else np.zeros((pop, time, 0), qpos.dtype)
+    return poses[0], poses[1], shift
 
 
-def _joint_shift(static: StaticScene, k: int, scale: Any, qpos: NDArray) -> NDArray:
+def _joint_shift(static: StaticScene, k: int, poses: Poses, qpos: NDArray) -> NDArray:
     """Return the distance of joint k from its initial position [m or rad], shape [pop, time]."""
     m, joint = static.mjm, static.joints[k]
     address = int(m.jnt_qposadr[joint])
     if m.jnt_type[joint] == BALL:
-        start = static.start[address : address + 4].astype(np.float32)
+        start = static.start[address : address + 4].astype(qpos.dtype)
         return angle_between(start, qpos[:, :, address : address + 4])
-    start = np.float32(static.start[address])
+    start = qpos.dtype.type(static.start[address])
     if m.jnt_type[joint] == SLIDE:
-        start = (start * scale[:, static.joint_object[k]])[:, None]
+        start = (start * poses.scale[:, static.joint_object[k]])[:, None]
+    if poses.variation is not None:
+        start = start + np.asarray(poses.variation.joint_shift)[:, k, None]
     return np.abs(qpos[:, :, address] - start)
 
 

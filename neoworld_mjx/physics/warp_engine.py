@@ -22,7 +22,7 @@ from .derived import invweights, static_geoms, subtree_mass
 from .engine import BatchEngine, Rollout, RolloutStatus, Schedule, unplaceable
 from .guidance import Guidance, GuidedBodies, guided_bodies
 from .layout import Poses
-from .model import SceneModel, StaticScene
+from .model import CompiledScene, StaticScene
 from .model_fields import mesh_object, model_fields, owner_scale
 from .native import NativeEngine
 from .recorder import SIMULATED_FIELDS, Recorder, simulate_in_chunks
@@ -71,7 +71,7 @@ class WarpEngine(BatchEngine):
         self.counts = Counts()
         self._worlds: "weakref.WeakKeyDictionary[StaticScene, Worlds]" = weakref.WeakKeyDictionary()
 
-    def simulate(self, scene: SceneModel, poses: Poses, schedule: Schedule) -> Rollout:
+    def simulate(self, scene: CompiledScene, poses: Poses, schedule: Schedule) -> Rollout:
         """Simulate every candidate; see `Engine.rollout`.
 
         Results vary in the last bits between runs, since the order of sums on a GPU varies.
@@ -94,7 +94,7 @@ class WarpEngine(BatchEngine):
                 getattr(rollout, name)[truncated] = getattr(native_rollout, name)
         return rollout
 
-    def worlds(self, scene: SceneModel, pop: int, poses: Poses) -> "Worlds":
+    def worlds(self, scene: CompiledScene, pop: int, poses: Poses) -> "Worlds":
         """Return worlds with memory and captured steps for at least `pop` candidates of a scene."""
         from .warp_worlds import Worlds, probe
 
@@ -115,13 +115,13 @@ class WarpEngine(BatchEngine):
                 ) from None
         return worlds
 
-    def _chunk_size(self, scene: SceneModel, poses: Poses) -> int:
+    def _chunk_size(self, scene: CompiledScene, poses: Poses) -> int:
         placeable = poses[~unplaceable(poses)]
         if scene.static.mjm.nv == 0 or not len(placeable.scale):
             return WARP_CHUNK
         return min(WARP_CHUNK, self.worlds(scene, 1, placeable).fitting_worlds())
 
-    def _simulate_chunk(self, scene: SceneModel, poses: Poses, *, schedule: Schedule) -> Rollout:
+    def _simulate_chunk(self, scene: CompiledScene, poses: Poses, *, schedule: Schedule) -> Rollout:
         """Roll out candidates at once; candidates whose contacts do not fit become TRUNCATED."""
         pop = len(poses.scale)
         if scene.static.mjm.nv == 0:
@@ -219,7 +219,7 @@ def _guided_steps(
 
 
 @eqx.filter_jit
-def _prepare(scene: SceneModel, poses: Poses) -> tuple[dict[str, Any], Any]:
+def _prepare(scene: CompiledScene, poses: Poses) -> tuple[dict[str, Any], Any]:
     """Return the candidates' model fields, flattened to [pop, n], and their initial states."""
     static = scene.static
     all_fields = model_fields(scene, poses) | invweights(scene, poses)

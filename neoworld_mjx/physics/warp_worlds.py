@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import EngineError
 from .layout import Poses
-from .model import MESH, SceneModel, StaticScene
+from .model import MESH, CompiledScene, StaticScene
 from .native import open_batch
 
 PROBE_CANDIDATES, PROBE_STEPS, PROBE_EVERY = 24, 75, 5
@@ -40,7 +40,7 @@ class Capacity(NamedTuple):
     """Number of constraints of each world."""
 
 
-def probe(scene: SceneModel, poses: Poses) -> Capacity:
+def probe(scene: CompiledScene, poses: Poses) -> Capacity:
     """Return the capacity for twice the contacts of a few evenly chosen candidates in C MuJoCo."""
     pick = np.unique(np.linspace(0, poses.scale.shape[0] - 1, PROBE_CANDIDATES).astype(int))
     batch = open_batch(scene, jax.tree.map(np.asarray, poses)[pick])

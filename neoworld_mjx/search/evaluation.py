@@ -16,11 +16,10 @@ from ..physics.engine import EarlyStop, Engine, Rollout, zero_duration_rollout
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..physics.placed import Placed, measure_in_chunks, place_in_chunks
+from ..physics.rest import settle
 from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
-from ..physics.settling import settle
 from ..spec import SceneSpec
 from .algorithm import Problem, Scores, evaluate
-from .finishing import resting_poses
 
 CLOCKS = ("settle", "rollout", "score", "wait")
 """Steps of a search whose time is measured."""
@@ -121,7 +120,7 @@ class Evaluation(NamedTuple):
         repeat = lambda tree: jax.tree.map(lambda x: np.asarray(x)[rows], tree)
         origin = self.problem.origin
         scale = np.exp(np.asarray(origin.log_scale)[:, : len(self.scene.names)])
-        rest = pad_objects(resting_poses(scene, scale), self.arrays.count)
+        rest = pad_objects(self.scene.poses(scene, scale), self.arrays.count)
         rest = jax.tree.map(np.float32, rest)
         single = self.roll_out(rest)
         rollout = eqx.tree_at(lambda x: x.time, repeat(single), single.time)

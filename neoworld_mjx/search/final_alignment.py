@@ -18,8 +18,7 @@ from ..estimate.colors import SAME_PX, LabImage, is_supported
 from ..estimate.rasterize import draw_scene, height_of, pixels_of
 from ..evidence.evidence import Evidence
 from ..measure import SceneMeasure
-from ..physics.model import compile_scene
-from ..physics.settling import settle_scene
+from ..physics.model import compile_for_simulation
 from ..render import visible_surface
 from ..spec import SceneSpec, world_poses
 from .finishing import check_settled
@@ -28,8 +27,6 @@ TRIES = 3
 """Largest number of times that the aligned scene is settled and checked. After each time, some
 objects get their refined poses back: those that do not rest or agree less with the photograph, and
 all objects that carry such an object."""
-FEW_SAMPLES = 8
-"""Number of surface samples of an object in the compiled scene, which does not use them."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +92,9 @@ def align_final(
         return FinalAlignment(refined, failure=again.failure)
     bins = LabImage.of(photo, FINE_PX, height_of(camera, FINE_PX)).bins
     owner = draw_scene(refined, camera, FINE_PX).owner
-    model = compile_scene(refined, samples=FEW_SAMPLES)
-    as_compiled = np.zeros(len(model.names))
     for _ in range(TRIES):
         placed = _mixed(refined, again.scene, accepted)
-        finished = check_settled(model, placed, settle_scene(placed, o.settle), as_compiled, o)
+        finished = check_settled(compile_for_simulation(placed), placed, o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
         faulty = [
             k

@@ -4,17 +4,24 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..config import RefineOptions
-from ..measure import SETTLED_AWAY, SceneMeasure, measured, passes, scene_checks
+from ..measure import (
+    SETTLED_AWAY,
+    SceneMeasure,
+    measured,
+    passes,
+    rest_and_measure,
+    resting,
+    scene_checks,
+)
 from ..physics.colliders import snap_exactly
 from ..physics.layout import Layout, Poses
-from ..physics.model import SceneModel, compile_scene
-from ..physics.placed import settling_displacement
-from ..physics.settling import settle_scene, with_world_poses
-from ..spec import SceneSpec, world_poses
-from ..spec.pose import pose
+from ..physics.model import CompiledScene, SceneModel, compile_for_simulation, compile_scene
+from ..physics.native import NativeEngine
+from ..physics.rest import settle
+from ..spec import SceneSpec
 
 RELEASES = 2
 """Number of times that a scene which fails its final check is settled again.
@@ -29,29 +36,18 @@ class Finished(NamedTuple):
 
     scene: SceneSpec
     measure: SceneMeasure
-    moved_away: tuple[str, ...]
-    """Objects that settled farther from their placed poses than `settling_displacement` allows."""
     passed: bool
     """True if the scene passes the final check, which includes that no object moved away."""
 
     def rests(self, o: RefineOptions) -> Bool[np.ndarray, " object"]:
-        """Return a mask of the objects that rest.
+        """Return a mask of the objects that rest; see `measure.resting`."""
+        return resting(self.scene, self.measure, o)
 
-        An object rests if it penetrates no other object, is stable, and did not move away.
-        """
-        m = self.measure
-        pairs = [*m.depths_m.items(), *m.settled_depths_m.items()]
-        penetrating = {n for pair, depth in pairs if depth > o.max_depth_m for n in pair.split("|")}
-        unstable = {
-            name
-            for name, drift in m.drift_m.items()
-            if m.diverged or not (drift < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg)
-        }
-        moved_joints = {j for j, turn in m.joint_turn_deg.items() if not turn < o.max_tilt_deg}
-        moved_joints |= {j for j, slide in m.joint_slide_m.items() if not slide < o.max_drift_m}
-        unstable |= {joint.split("-", 1)[0] for joint in moved_joints}
-        faulty = penetrating | unstable | set(self.moved_away)
-        return np.array([item.name not in faulty for item in self.scene.objects])
+    @property
+    def moved_away(self) -> tuple[str, ...]:
+        """Objects that settled farther from their placed poses than is allowed."""
+        displacement = self.measure.displacement or {}
+        return tuple(name for name, value in displacement.items() if value > 1.0)
 
     def excess_over_bounds(self, o: RefineOptions) -> float:
         """Return how far the scene is from passing; 0 if it passes.
@@ -102,84 +98,41 @@ def finish(
     if not o.settle.enabled:
         scene = snap_exactly(placed)
         measure = measured(scene, o)
-        return Finished(scene, measure, (), passes(measure, o))
-    start = placed if rest is None else _at_poses(model, placed, rest, k)
-    size = np.asarray(layouts.log_scale)[k, : len(model.names)]
-    finished = check_settled(model, placed, settle_scene(start, o.settle), size, o)
+        return Finished(scene, measure, passes(measure, o))
+    world = compile_for_simulation(placed)
+    start = placed if rest is None else model.scene_at(rest, k, placed)
+    finished = check_settled(world, start, o)
     for _ in range(RELEASES):
         at_rest = finished.measure.model_copy(update={"displacement": None})
         if passes(at_rest, o) or finished.measure.diverged:
             break
-        released = _release_failing(finished, o)
-        finished = check_settled(model, placed, settle_scene(released, o.settle), size, o)
+        finished = check_settled(world, _release_failing(world, finished, o), o)
     return finished
 
 
-def check_settled(
-    model: SceneModel,
-    placed: SceneSpec,
-    scene: SceneSpec,
-    log_scale: Float[np.ndarray, " object"],
-    o: RefineOptions,
-) -> Finished:
-    """Return a settled scene with its final check.
+def check_settled(world: CompiledScene, start: SceneSpec, o: RefineOptions) -> Finished:
+    """Settle a scene, and return it with its final check.
 
     Args:
-        model: the compiled scene.
-        placed: the placed scene, before it settled.
-        scene: the settled scene.
-        log_scale: log scales of the objects in `placed`, relative to `model`; shape [object].
-        o: options of the check.
+        world: the compiled scene, placed; displacements by settling are relative to it.
+        start: the same objects where they start to settle.
+        o: options of settling and of the check.
     """
-    moved = displacement(model, placed, scene, log_scale)
-    away = tuple(name for name, value in moved.items() if value > 1.0)
-    measure = measured(scene, o).model_copy(update={"displacement": moved})
-    return Finished(scene, measure, away, passes(measure, o))
+    poses = settle(world, world.poses(start), NativeEngine(), o.settle, stop_early=False)
+    scene = world.scene_at(poses)
+    # From the scene as it is stored, so that a later check measures the same.
+    _, (measure,) = rest_and_measure(
+        world, world.poses(scene), o, settles=False, placed=world.poses()
+    )
+    return Finished(scene, measure, passes(measure, o))
 
 
-def _release_failing(finished: Finished, o: RefineOptions) -> SceneSpec:
+def _release_failing(world: CompiledScene, finished: Finished, o: RefineOptions) -> SceneSpec:
     """Move the failing objects of a final scene to where a free fall takes them."""
     free = o.settle.model_copy(update={"rate": 0.0, "duration_s": o.check_duration_s})
-    end = settle_scene(finished.scene, free)
-    poses = world_poses(end)
-    fails = ~finished.rests(o)
-    ends = {
-        item.name: poses[item.name]
-        for item, failing in zip(end.objects, fails, strict=True)
-        if failing and not item.static
-    }
-    return with_world_poses(finished.scene, ends)
-
-
-def _at_poses(model: SceneModel, placed: SceneSpec, rest: Poses, k: int) -> SceneSpec:
-    pos, quat = (np.asarray(x)[k].astype(float) for x in (rest.pos, rest.quat))
-    ends = {
-        model.names[n]: pose(pos[n], quat[n])
-        for n in np.flatnonzero(np.asarray(model.movable)[: len(model.names)])
-    }
-    return with_world_poses(placed, ends)
-
-
-def displacement(
-    model: SceneModel,
-    start: SceneSpec,
-    end: SceneSpec,
-    log_scale: Float[np.ndarray, " object"],
-) -> dict[str, float]:
-    """Return the displacement of each movable object by settling, relative to its limit.
-
-    Args:
-        model: the compiled scene.
-        start: the placed scene.
-        end: the settled scene.
-        log_scale: log scales of the objects in the layout; shape [object].
-    """
-    size = np.exp(log_scale)[None]
-    poses = resting_poses(start, size), resting_poses(end, size)
-    values = np.asarray(settling_displacement(model, *poses, np)[0], float)
-    return {
-        name: float(values[k]) for k, name in enumerate(model.names) if not end.object(name).static
-    }
+    start = world.poses(finished.scene)
+    ends = settle(world, start, NativeEngine(), free, stop_early=False)
+    return world.scene_at(ends, 0, finished.scene, only=~finished.rests(o))
 
 
 def free_to_move(
@@ -208,13 +161,6 @@ def with_resting_fixed(composed: SceneSpec, initial: Finished, o: RefineOptions)
         for item, end, is_free in zip(composed.objects, initial.scene.objects, free, strict=True)
     ]
     return composed.model_copy(update={"objects": tuple(objects)})
-
-
-def resting_poses(scene: SceneSpec, scale: Float[np.ndarray, "1 object"]) -> Poses:
-    """Return the poses of a scene's objects as a single candidate."""
-    poses = list(world_poses(scene).values())
-    pos, quat = (np.array([getattr(p, part) for p in poses])[None] for part in ("pos", "quat"))
-    return Poses(pos, quat, scale, pos[..., 2])
 
 
 LEAST_REACH, REACH_IN_SIGMAS = 0.335, 6.7

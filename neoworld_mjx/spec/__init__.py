@@ -30,6 +30,7 @@ from .scene import (
     single_object_scene,
     support_frame,
     with_layout,
+    with_world_poses,
     world_poses,
 )
 from .shapes import (
@@ -116,5 +117,6 @@ __all__ = [
     "support_frame",
     "translated",
     "with_layout",
+    "with_world_poses",
     "world_poses",
 ]

@@ -7,6 +7,7 @@ parent. The parent's frame has the origin and the yaw of the parent, but not the
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from ..io import read_model
 from ..io.names import UNIQUE, repeated
 from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
+from .correlation import PoseCorrelation
 from .kinematics import joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
@@ -113,6 +115,10 @@ class SceneSpec(Spec):
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=MAX_OBJECTS)
     camera: Camera | None = None
     gravity: Vec3 = (0.0, 0.0, -9.81)
+    correlation: PoseCorrelation | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Correlations between the uncertainties of objects and camera; None if not aligned."""
     backdrop: Backdrop | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @model_validator(mode="before")
@@ -235,6 +241,41 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
         yaw = quat_mul(frame.quat, from_yaw(obj.yaw))
         poses[obj.name] = pose(pos, quat_mul(yaw, obj.base_tilt))
     return poses
+
+
+def with_world_poses(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:
+    """Return a scene with new world poses of some objects. All others move with their parents."""
+    old_poses = world_poses(scene)
+    new_poses = dict(old_poses)
+    objects: list[SceneObject] = []
+    for item in scene.objects:
+        frame, before = pose(), pose()
+        if item.parent is not None:
+            parent = scene.object(item.parent)
+            frame = support_frame(parent, new_poses[item.parent], item.parent_link)
+            before = support_frame(parent, old_poses[item.parent], item.parent_link)
+        end = ends.get(item.name, frame.then(before.inverse().then(old_poses[item.name])))
+        new_poses[item.name] = end
+        objects.append(
+            _with_support_pose(item, frame.inverse().then(end)) if item.name in ends else item
+        )
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def _with_support_pose(item: SceneObject, rest: Pose) -> SceneObject:
+    """Return an object at a pose in its support frame, split into a tilt followed by a yaw."""
+    turn = yaw_of(quat_mul(rest.quat, conjugate(quat_mul(from_yaw(item.yaw), item.base_tilt))))
+    yaw = math.remainder(item.yaw + turn, 2 * math.pi)
+    tilt = quat_mul(conjugate(from_yaw(yaw)), rest.quat)
+    tilt = tilt / np.linalg.norm(tilt) * (1.0 if tilt[0] >= 0 else -1.0)
+    return item.model_copy(
+        update={
+            "xy": tuple(rest.pos[:2].tolist()),
+            "z": float(rest.pos[2]),
+            "yaw": yaw,
+            "base_tilt": tuple(tilt.tolist()),
+        }
+    )
 
 
 def transformed_scene(scene: SceneSpec, transform: Pose) -> SceneSpec:

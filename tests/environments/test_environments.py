@@ -90,6 +90,51 @@ def test_resets_within_what_the_photograph_leaves_open(scene):
     assert 0.0007 < across.std() < 0.0013
 
 
+def with_uncertain_chest(scene):
+    """A fixed chest that the photograph shows to 2 cm and 0.05 rad, and a block known exactly."""
+    exact = PoseUncertainty(along=0.0, across=0.0, yaw=0.0, log_scale=0.0)
+    roughly = PoseUncertainty(
+        along=0.02, across=0.02, yaw=0.05, log_scale=0.0, joints={"slide": 0.02}
+    )
+    chest, block = scene.objects
+    floor = single("floor", Box(size=(4.0, 4.0, 0.1)), 0.05)
+    objects = (
+        SceneObject(name="floor", spec=floor, environment=True, z=-0.1),
+        chest.model_copy(
+            update={
+                "parent": "floor", "uncertainty": roughly, "xy": (1.0, 0.0), "z": 0.1,
+                "joint_state": {"slide": 0.1},
+            }
+        ),
+        block.model_copy(update={"uncertainty": exact}),
+    )  # fmt: skip
+    return scene.model_copy(update={"objects": objects})
+
+
+def test_resets_move_fixed_objects_and_openings_within_what_the_photograph_leaves_open(scene):
+    env = nw.gym_env(with_uncertain_chest(scene), noise=nw.ResetNoise(photo=1.0))
+    starts = [env.reset(seed=seed)[0] for seed in range(30)]
+    poses = np.array([start["poses"] for start in starts])
+    chest, block = env.controlled.names.index("chest"), env.controlled.names.index("block")
+    assert 0.01 < poses[:, chest, 0].std() < 0.03
+    offset = np.linalg.norm(poses[:, block, :2] - poses[:, chest, :2], axis=1)
+    assert offset.std() < 1e-4  # the block moves with the chest
+    assert 0.01 < np.std([start["joints"][0] for start in starts]) < 0.03
+    moved, still = env.reset(seed=0)[0], env.step(env.controlled.hold_action)[0]
+    np.testing.assert_allclose(still["poses"][chest], moved["poses"][chest], atol=1e-6)
+    assert env.posed().object("chest").xy == pytest.approx(moved["poses"][chest, :2], abs=1e-6)
+
+
+def test_jax_moves_fixed_objects_at_resets(scene):
+    env = nw.mjx_env(with_uncertain_chest(scene), noise=nw.ResetNoise(photo=1.0))
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 8))
+    chest = np.asarray(states.obs["poses"])[:, env.controlled.names.index("chest")]
+    assert chest[:, 0].std() > 0.008
+    np.testing.assert_allclose(
+        np.asarray(states.info["body_pos"])[:, env.controlled.bodies[1]], chest[:, :3], atol=1e-6
+    )
+
+
 @pytest.mark.parametrize(("yaw", "turns"), [(0.02, True), (None, False)])
 def test_resets_turn_no_object_whose_heading_is_not_seen(scene, yaw, turns):
     known = PoseUncertainty(along=0.0, across=0.0, yaw=yaw, log_scale=0.0)

@@ -10,6 +10,7 @@ from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate import align as align_module
 from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.spec import Sphere
+from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.estimate import desk
 
@@ -122,6 +123,21 @@ def test_displaced_objects_come_back(five, displaced, aligned):
     # The desk has no unknowns of its own; with the focal length the camera's distance changes.
     place = {"xy": wrong.object("desk").xy}
     assert result.scene.object("desk").model_copy(update=place) == wrong.object("desk")
+
+
+def test_distances_are_correlated_with_sizes_and_with_each_other(aligned):
+    """A farther object is larger; a camera that is higher moves all objects alike."""
+    known = aligned.scene.correlation
+    correlation = known.matrix()
+    assert np.linalg.eigvalsh(correlation).min() > -1e-3  # four decimals are stored
+    assert all(deviation > 0 for deviation in known.camera)
+    along = [4 * (1 + k) for k in range(len(known.objects))]
+    assert set(known.objects) == set(aligned.objects)
+    assert all(correlation[row, row + 3] > 0.1 for row in along)
+    between = correlation[np.ix_(along, along)][np.triu_indices(len(along), 1)]
+    assert between.min() > 0.7
+    again = PoseCorrelation.model_validate_json(known.model_dump_json())
+    np.testing.assert_array_equal(again.matrix(), correlation)
 
 
 @pytest.mark.parametrize("degrees", [12.0, pytest.param(-12.0, marks=pytest.mark.slow)])

@@ -2,14 +2,16 @@
 
 import math
 
-import mujoco
 import numpy as np
 import pytest
 
 from neoworld_mjx.measure import SceneMeasure, scene_measure, unstable_objects
-from neoworld_mjx.measure import scene_check as stability
 from neoworld_mjx.measure.scene_check import FALLS_M
-from neoworld_mjx.physics.colliders import snap_exactly, start_state
+from neoworld_mjx.physics import rest
+from neoworld_mjx.physics.colliders import snap_exactly
+from neoworld_mjx.physics.engine import RolloutStatus
+from neoworld_mjx.physics.model import compile_for_simulation
+from neoworld_mjx.physics.native import open_batch
 from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
 from neoworld_mjx.spec.pose import quat_mul
 from tests.support import scenes
@@ -120,23 +122,23 @@ def fabricated(monkeypatch):
     cabinet = SceneObject(name="cabinet", spec=scenes.cabinet(), parent="table", xy=(0, 0.3), z=0.1)
     scene = scene.model_copy(update={"objects": (*scene.objects, lamp, cabinet)})
 
-    def simulate(model, data, count):
-        assert count == round(0.01 / 0.002) == 5
-        qpos = np.tile(data.qpos, (count, 1))
+    def simulate(batch, steps):
+        assert steps == round(0.01 / 0.002) == 5
+        model, qpos = batch.model, np.repeat(batch.bind("qpos")[:, None], steps, axis=1)
         at = {model.joint(k).name: model.jnt_qposadr[k] for k in range(model.njnt)}
         a = model.jnt_qposadr[model.body("a").jntadr[0]]
-        qpos[1, a + 2] += 0.03
-        qpos[2, a + 2] -= 0.02
-        qpos[3, a + 3 : a + 7] = about_y(10.0)
+        qpos[:, 1, a + 2] += 0.03
+        qpos[:, 2, a + 2] -= 0.02
+        qpos[:, 3, a + 3 : a + 7] = about_y(10.0)
         neck = slice(at["lamp-neck"], at["lamp-neck"] + 4)
-        qpos[2, neck] = quat_mul(qpos[2, neck], about_y(-20.0))
-        qpos[1, at["cabinet-slide"]] -= 0.04
-        qpos[2, at["cabinet-hinge"]] -= np.radians(7.0)
+        qpos[:, 2, neck] = quat_mul(qpos[:, 2, neck], about_y(-20.0))
+        qpos[:, 1, at["cabinet-slide"]] -= 0.04
+        qpos[:, 2, at["cabinet-hinge"]] -= np.radians(7.0)
         for name in ("lamp", "cabinet"):
-            qpos[:, model.jnt_qposadr[model.body(name).jntadr[0]] + 2] += 1e-3
-        return qpos, True
+            qpos[..., model.jnt_qposadr[model.body(name).jntadr[0]] + 2] += 1e-3
+        return qpos, np.zeros(1, int)
 
-    monkeypatch.setattr(stability, "_simulate", simulate)
+    monkeypatch.setattr(rest, "_simulate", simulate)
     return scene
 
 
@@ -171,10 +173,12 @@ def test_each_bound_decides_and_a_motion_at_its_bound_is_over_it(fabricated):
 def test_a_simulation_that_is_not_finite_is_unstable(monkeypatch, finite):
     scene = scenes.on_table((box("a"), (0, 0), 0.0, {}))
 
-    def simulate(model, data, count):
-        return np.full((count, model.nq), np.nan if finite else 0.0), finite
+    def simulate(batch, steps):
+        status = RolloutStatus.OK if finite else RolloutStatus.FAILED
+        qpos = np.full((1, steps, batch.model.nq), np.nan if finite else 0.0)
+        return qpos, np.array([int(status)])
 
-    monkeypatch.setattr(stability, "_simulate", simulate)
+    monkeypatch.setattr(rest, "_simulate", simulate)
     found = scene_measure(scene, duration=0.01)
     assert found.diverged and found.s_stab is False
     assert found.max_drift_m == found.max_tilt_deg == np.inf
@@ -183,12 +187,12 @@ def test_a_simulation_that_is_not_finite_is_unstable(monkeypatch, finite):
 
 def test_a_speed_beyond_the_limit_of_mujoco_is_not_finite():
     """MuJoCo warns of it although the state is a number."""
-    model, data = start_state(scenes.on_table((box("a"), (0, 0), 0.0, {"z": 0.5})), 0.002)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    assert stability._simulate(model, data, 1)[1]
-    data.qvel[0] = 1e11
-    qpos, finite = stability._simulate(model, data, 1)
-    assert np.isfinite(qpos).all() and not finite
+    world = compile_for_simulation(scenes.on_table((box("a"), (0, 0), 0.0, {"z": 0.5})))
+    batch = open_batch(world, world.poses())
+    assert rest._simulate(batch, 1)[1] == RolloutStatus.OK
+    batch.bind("qvel")[0, 0] = 1e11
+    qpos, status = rest._simulate(batch, 1)
+    assert np.isfinite(qpos).all() and status == RolloutStatus.FAILED
 
 
 NAMES = ("a", "b", "c")

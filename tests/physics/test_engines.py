@@ -41,7 +41,7 @@ def test_native_is_bit_equal_to_mj_step_on_each_candidates_model():
             for o, body in enumerate(scene.static.root):
                 if scene.movable[o]:
                     adr = model.jnt_qposadr[model.body_jntadr[body]]
-                    expected = data.qpos[adr : adr + 7].astype(np.float32)
+                    expected = data.qpos[adr : adr + 7]
                     assert np.array_equal(rollout.pos[k, -1, o], expected[:3])
                     assert np.array_equal(rollout.quat[k, -1, o], expected[3:])
 

@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.measure import measured
-from neoworld_mjx.measure import scene_check as stability
+from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjcf import CONTACT_TIME_S
 from neoworld_mjx.physics.native import open_batch
@@ -28,11 +28,11 @@ def models(request, tmp_path_factory):
     batch = open_batch(searched, searched.place_exactly(Layout.zero(1, len(searched.names))))
     checked = []
     with pytest.MonkeyPatch.context() as patch:
-        simulate = stability._simulate
+        simulate = rest._simulate
         patch.setattr(
-            stability,
+            rest,
             "_simulate",
-            lambda model, *rest: [checked.append(model), simulate(model, *rest)][1],
+            lambda batch, steps: [checked.append(batch.get_model(0)), simulate(batch, steps)][1],
         )
         measured(scene, o)
     folder = tmp_path_factory.mktemp("exported")

@@ -84,8 +84,10 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
     def graded(model, layouts, k, *rest):
         """The candidates' final scenes have the given badness."""
         measure = initial.measure.model_copy(update={"max_drift_m": worst[k], "s_stab": False})
-        measure = measure.model_copy(update={"max_depth_m": 0.0, "settled_depth_m": 0.0})
-        found = initial._replace(measure=measure, moved_away=(), passed=False)
+        measure = measure.model_copy(
+            update={"max_depth_m": 0.0, "settled_depth_m": 0.0, "displacement": {}}
+        )
+        found = initial._replace(measure=measure, passed=False)
         badness[k] = found.excess_over_bounds(o)
         return found
 
@@ -94,9 +96,8 @@ def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
     drifts = initial.measure.model_copy(
         update={"max_drift_m": 0.05, "max_tilt_deg": 0.0, "max_depth_m": 0.0}
     )
-    initial = initial._replace(
-        measure=drifts.model_copy(update={"settled_depth_m": 0.0}), moved_away=()
-    )
+    drifts = drifts.model_copy(update={"settled_depth_m": 0.0, "displacement": {}})
+    initial = initial._replace(measure=drifts)
     chosen = choose_winner(model, rounds, o, initial)
     assert (
         min(badness.values())

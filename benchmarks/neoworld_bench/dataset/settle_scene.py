@@ -14,7 +14,7 @@ import numpy as np
 from neoworld_mjx.config import RefineOptions, SettleOptions
 from neoworld_mjx.errors import NeoWorldError
 from neoworld_mjx.measure import SceneCheck, measured, scene_checks
-from neoworld_mjx.physics.settling import settle_scene
+from neoworld_mjx.physics.rest import settle_scene
 from neoworld_mjx.spec import SceneObject, SceneSpec
 
 from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from neoworld_mjx.config import AlignOptions, RefineOptions, list_options, merged
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import SceneMeasure, measured
-from neoworld_mjx.physics.colliders import snap_exactly, start_state
+from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.physics.engine import Engine
-from neoworld_mjx.physics.settling import at_state, settle_scene
+from neoworld_mjx.physics.layout import Poses
+from neoworld_mjx.physics.model import compile_for_simulation
+from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.physics.rest import settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
 from neoworld_mjx.search.finishing import compile_for_search
 from neoworld_mjx.spec import SceneSpec
@@ -104,10 +106,10 @@ METHODS = ("open_loop", "aligned", "gravity", "guided", *SEARCHES)
 
 def _gravity(composed: SceneSpec, _: RefineOptions) -> SceneSpec:
     """Let a scene fall freely for GRAVITY_S."""
-    scene = snap_exactly(composed)
-    model, data = start_state(scene)
-    mujoco.mj_step(model, data, round(GRAVITY_S / model.opt.timestep))
-    return at_state(scene, model, data)
+    world = compile_for_simulation(snap_exactly(composed))
+    start = world.poses()
+    end = NativeEngine().rollout(world, start, duration=GRAVITY_S, record_every=GRAVITY_S)
+    return world.scene_at(Poses(end.pos[:, -1], end.quat[:, -1], start.scale, start.height))
 
 
 SETTLED: dict[str, Callable[[SceneSpec, RefineOptions], SceneSpec]] = {

@@ -4,17 +4,21 @@ import jax
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import SettleOptions
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.config import RefineOptions, SettleOptions
+from neoworld_mjx.measure import resting, scene_measure
+from neoworld_mjx.measure.scene_check import measures_of
+from neoworld_mjx.physics.colliders import snap_exactly
+from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
+from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import (
     TILT_BOUND_LYING,
     settling_displacement,
 )
-from neoworld_mjx.physics.settling import settle, settle_scene, with_damped_joints, with_world_poses
-from neoworld_mjx.spec import Box, world_poses
+from neoworld_mjx.physics.rest import rest, settle, settle_scene, with_damped_joints
+from neoworld_mjx.spec import Box, with_world_poses, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -176,3 +180,48 @@ def test_children_move_with_their_parent():
     relative = lambda at: at["low"].inverse().then(at["high"])
     np.testing.assert_allclose(relative(after).pos, relative(before).pos, atol=1e-12)
     np.testing.assert_allclose(relative(after).quat, relative(before).quat, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def three():
+    """The blocks as placed, the ball lifted by 30 cm, and a candidate that cannot be placed."""
+    world = compile_for_simulation(snap_exactly(scenes.blocks()))
+    poses = jax.tree.map(lambda leaf: np.repeat(leaf, 3, axis=0), world.poses())
+    ball = world.names.index("ball")
+    poses.pos[1, ball, 2] += 0.3
+    poses.pos[2, ball] = np.nan
+    return world, poses, rest(world, poses, hold=None, free_s=0.5)
+
+
+def test_candidates_fall_from_their_poses_side_by_side(three):
+    world, poses, rested = three
+    ball = world.names.index("ball")
+    assert rested.status.tolist() == [RolloutStatus.OK, RolloutStatus.OK, RolloutStatus.FAILED]
+    assert rested.drift[0].max() < 1e-3
+    assert rested.drop[1, ball] == pytest.approx(0.3, abs=0.01)
+    assert np.delete(rested.drift[1], ball).max() < 1e-3
+    assert np.isnan(rested.drift[2]).all() and rested.depths[2] == {}
+    np.testing.assert_array_equal(rested.poses.pos, poses.pos)
+    alone = rest(world, poses[:1], hold=None, free_s=0.5)
+    np.testing.assert_array_equal(alone.drift[0], rested.drift[0])
+
+
+def test_the_objects_of_each_candidate_that_rest_are_named(three):
+    world, _, rested = three
+    o = RefineOptions()
+    limits = 0.5, o.max_depth_m, o.max_drift_m, o.max_tilt_deg
+    measures = measures_of(world, rested, *limits)
+    at_rest = [resting(world.spec, measure, o) for measure in measures]
+    ball, table = world.names.index("ball"), world.names.index("table")
+    assert at_rest[0].all()
+    assert np.flatnonzero(~at_rest[1]).tolist() == [ball]
+    assert np.flatnonzero(at_rest[2]).tolist() == [table] and measures[2].diverged
+
+
+def test_candidates_settle_before_they_fall_and_their_displacement_is_stated(three):
+    world, poses, _ = three
+    ball = world.names.index("ball")
+    rested = rest(world, poses[:2], hold=OPTIONS, free_s=0.2, engine=NativeEngine())
+    assert rested.poses.pos[1, ball, 2] < poses.pos[1, ball, 2] - 0.25
+    assert rested.drift.max() < 1e-3
+    assert rested.moved[0].max() < 0.1 and rested.moved[1, ball] > 1.0

@@ -1,0 +1,316 @@
+"""All the scenes that a photograph allows: draws from the estimate that stand, side by side."""
+
+import io
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..config import RefineOptions
+from ..errors import RunError, SpecError
+from ..io.files import write_output
+from ..measure import SceneMeasure, rest_and_measure, scene_checks
+from ..physics.layout import Layout, Poses, Variation
+from ..physics.model import SceneModel, compile_scene
+from ..physics.posterior import PhysicalPrior, draw
+from ..render import visible_surface
+from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
+from ..spec.pose import matrix
+
+PIXEL_WIDTH = 640
+"""Width of the image in which displacements are measured [px]."""
+MAX_PX = 10.0
+"""Largest displacement of a side of an object's 2D box in that image; about twice the distance of a
+fitted outline from the outline in the photograph."""
+MAX_SHARE = 0.05
+"""Additional displacement, relative to the diagonal of the box: the estimate allows a program to be
+wrong in its proportions by a few percent, so sizes vary as much."""
+VERBS = {
+    "max_depth_m": "overlaps",
+    "settled_depth_m": "overlaps",
+    "max_drift_m": "moves",
+    "max_tilt_deg": "tips",
+    "max_joint_slide_m": "does not hold its joint",
+    "max_joint_turn_deg": "does not hold its joint",
+    "settled_away": "settles elsewhere",
+}
+"""What an object does that fails a check of the scene, by the name of the check."""
+
+
+@dataclass(frozen=True, repr=False)
+class SceneSamples:
+    """Draws about a scene, settled, and which of them stand and agree with the photograph.
+
+    The draws come from the posterior of the estimate, and draws that do not stand or that the
+    pixels exclude are refused, so all that are kept have the same weight.
+    """
+
+    model: SceneModel
+    """The compiled scene about which was drawn; `layouts` and `poses` are candidates of it."""
+    layouts: Layout
+    poses: Poses
+    """Settled poses, sizes and physical quantities of all draws."""
+    cameras: tuple[Camera | None, ...]
+    measures: tuple[SceneMeasure, ...]
+    """Penetration, drift and displacement by settling of each draw."""
+    stands: Bool[np.ndarray, " n"]
+    """True for draws that pass the final check."""
+    shift_px: Float[np.ndarray, "n object"]
+    """Largest displacement of a side of each object's 2D box, in an image `PIXEL_WIDTH` wide; 0
+    without a camera."""
+    reasons: tuple[str, ...]
+    """Why each draw is refused, such as "cup tips"; empty if it is kept."""
+    seed: int
+
+    @property
+    def kept(self) -> Int[np.ndarray, " kept"]:
+        """Indices of the draws that stand and that the pixels allow."""
+        return np.flatnonzero([not reason for reason in self.reasons])
+
+    @property
+    def weights(self) -> Float[np.ndarray, " n"]:
+        """Weight of each draw: equal for all that are kept, and 0 for the others."""
+        weights = np.zeros(len(self.reasons))
+        weights[self.kept] = 1.0 / max(len(self.kept), 1)
+        return weights
+
+    def __len__(self) -> int:
+        return len(self.reasons)
+
+    def __repr__(self) -> str:
+        return f"SceneSamples of {self.model.spec.name!r}: {self.phrase()}"
+
+    def phrase(self) -> str:
+        """Return one line, such as "stands in 63 of 64; kept 62; refused: cup tips (1), ..."."""
+        counts = Counter(reason for reason in self.reasons if reason)
+        line = f"stands in {int(self.stands.sum())} of {len(self)}"
+        if counts:
+            refused = ", ".join(f"{reason} ({k})" for reason, k in counts.most_common())
+            line += f"; kept {len(self.kept)}; refused: {refused}"
+        return line
+
+    def scene(self, k: int) -> SceneSpec:
+        """Return the scene of a draw, kept or not, with its masses, frictions and camera."""
+        placed = self.model.apply(self.layouts, k, self.poses)
+        varied = _with_variation(self.model, placed, self.poses.variation, k)
+        return self.model.scene_at(self.poses, k, varied).model_copy(
+            update={"camera": self.cameras[k]}
+        )
+
+    @cached_property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All draws as arrays, by the names in `samples.npz`."""
+        v = self.poses.variation
+        assert v is not None
+        arrays = {
+            "objects": np.array(self.model.names),
+            "joints": np.array(self.model.static.joint_names, str),
+            "pos": self.poses.pos,
+            "quat": self.poses.quat,
+            "size": self.poses.scale,
+            "mass": v.mass,
+            "friction": v.friction,
+            "joint_friction": v.joint_friction,
+            "joint_damping": v.joint_damping,
+            "joint_shift": v.joint_shift,
+            "weights": self.weights,
+            "stands": self.stands,
+            "shift_px": self.shift_px,
+            "reasons": np.array(self.reasons, str),
+            "seed": np.array(self.seed),
+        }
+        return {name: np.asarray(value) for name, value in arrays.items()}
+
+    def write(self, path: Path) -> None:
+        """Write the arrays as a .npz file."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **self.arrays)
+        write_output(path, buffer.getvalue(), RunError)
+
+
+def sample(
+    scene: SceneSpec | Path | str,
+    n: int = 64,
+    *,
+    seed: int = 0,
+    options: RefineOptions | None = None,
+    prior: PhysicalPrior | None = None,
+    max_px: float = MAX_PX,
+) -> SceneSamples:
+    """Draw scenes that a photograph allows.
+
+    Poses, sizes, openings and the camera are drawn from the estimate about the scene, with its
+    correlations; densities, frictions and losses of joints are drawn from priors. Every draw is
+    placed on its supports, settled and checked like a refined scene, all in one batch of C MuJoCo.
+
+    Args:
+        scene: the scene, a scene.json or a run folder.
+        n: number of draws.
+        seed: random seed.
+        options: options of settling and of the final check.
+        prior: priors of what no picture shows.
+        max_px: a draw is refused if a side of an object's 2D box moved by more than this and 5 % of
+            the diagonal of the box, in an image 640 pixels wide.
+
+    Raises:
+        SpecError: there is no scene, or `n` is not positive.
+        EngineError: a draw has more contacts than MuJoCo's memory holds.
+    """
+    if n < 1:
+        raise SpecError(f"sample: n is {n}, not a positive number of draws")
+    spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
+    o = options or RefineOptions()
+    model = compile_scene(spec, timestep=0.002)
+    draws = draw(model, np.random.default_rng(seed), n, prior)
+    layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), draws.layouts)
+    placed = model.place_exactly(layouts)
+    start = Poses(placed.pos, placed.quat, placed.scale, placed.height, draws.variation)
+    poses, measures = rest_and_measure(model, start, o, stop_early=True)
+    cameras = tuple(_moved_camera(spec, change) for change in draws.camera)
+    shift, diagonal = _box_shifts(model, poses, cameras)
+    excess = shift - max_px - MAX_SHARE * diagonal
+    stands = np.array([all(c.passed for c in scene_checks(m, o)) for m in measures])
+    reasons = tuple(
+        _reason(spec, measure, o) or _pixel_reason(model.names, row)
+        for measure, row in zip(measures, excess, strict=True)
+    )
+    return SceneSamples(
+        model, layouts, poses, cameras, tuple(measures), stands, shift, reasons, seed
+    )
+
+
+def _reason(scene: SceneSpec, measure: SceneMeasure, o: RefineOptions) -> str:
+    """Return the first failed check of a draw as "object verb"; empty if it passes all checks."""
+    if measure.diverged:
+        return "the simulation diverges"
+    for check in scene_checks(measure, o):
+        if not check.passed:
+            return f"{check.where.split('|')[-1].split('-', 1)[0]} {VERBS[check.name]}"
+    return ""
+
+
+def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) -> str:
+    worst = int(excess.argmax())
+    return f"{names[worst]} leaves its pixels" if excess[worst] > 0 else ""
+
+
+def _moved_camera(scene: SceneSpec, change: Float[np.ndarray, " 4"]) -> Camera | None:
+    """Return the camera of a draw; see `posterior.Draws.camera`.
+
+    As in the alignment, a change of the focal length also moves the camera along its view, so that
+    the middle of the scene keeps its size in the image.
+    """
+    c = scene.camera
+    if c is None:
+        return None
+    depths = [item.depth for item in scene.objects if item.depth is not None and item.parent]
+    pitch, roll, log_focal, log_height = change.tolist()
+    back = (float(np.median(depths)) if depths else 1.0) * math.expm1(log_focal)
+    behind = back * math.cos(c.pitch)
+    update = {
+        "pitch": min(max(c.pitch + pitch, -math.pi / 2), math.pi / 2),
+        "roll": c.roll + roll,
+        "fovy": 2 * math.atan(math.tan(c.fovy / 2) * math.exp(-log_focal)),
+        "height": c.height * math.exp(log_height) + back * math.sin(c.pitch),
+        "xy": (c.xy[0] - behind * math.cos(c.yaw), c.xy[1] - behind * math.sin(c.yaw)),
+    }
+    return c.model_copy(update=update)
+
+
+def _box_shifts(
+    model: SceneModel, poses: Poses, cameras: Sequence[Camera | None]
+) -> tuple[Float[np.ndarray, "n object"], Float[np.ndarray, " object"]]:
+    """Return how far each object's 2D box moved from the scene's, and the diagonals of the boxes.
+
+    Both are in pixels of an image `PIXEL_WIDTH` wide, and 0 for supports.
+    """
+    spec, shifts = model.spec, np.zeros(poses.scale.shape)
+    diagonals = np.zeros(len(spec.objects))
+    if spec.camera is None:
+        return shifts, diagonals
+    per_px = PIXEL_WIDTH / spec.camera.width
+    before = model.poses()
+    pose = lambda p, k, n: (np.asarray(p.pos)[k, n], matrix(np.asarray(p.quat)[k, n]).T)
+    for n, item in enumerate(spec.objects):
+        if item.environment:
+            continue
+        vertices, _ = visible_surface(item.spec, item.joint_state)
+        pos, turn = pose(before, 0, n)
+        box = _box(spec.camera, pos + vertices @ turn)
+        diagonals[n] = per_px * float(np.hypot(*(box[2:] - box[:2])))
+        for k, camera in enumerate(cameras):
+            assert camera is not None
+            sized = float(poses.scale[k, n]) * vertices
+            pos, turn = pose(poses, k, n)
+            shifts[k, n] = per_px * np.abs(_box(camera, pos + sized @ turn) - box).max()
+    return shifts, diagonals
+
+
+def _box(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 4"]:
+    """Return the 2D box of points, clipped to the image [px]."""
+    pixels, _ = camera.project(points)
+    size = np.array([camera.width, camera.height_px])
+    box = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
+    return np.asarray(box).ravel()
+
+
+def _with_variation(
+    model: SceneModel, scene: SceneSpec, variation: Variation | None, k: int
+) -> SceneSpec:
+    """Return a scene with the physical quantities of a draw."""
+    assert variation is not None
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[k], variation)
+    objects = []
+    for n, item in enumerate(scene.objects):
+        joints = {
+            name.split("-", 1)[1]: j
+            for j, name in enumerate(model.static.joint_names)
+            if model.static.joint_object[j] == n
+        }
+        state = dict(item.joint_state)
+        for name, j in joints.items():
+            if one.joint_shift[j]:
+                state[name] = state.get(name, 0.0) + float(one.joint_shift[j])
+        spec = _varied_object(item, float(one.mass[n]), float(one.friction[n]), one, joints)
+        objects.append(item.model_copy(update={"spec": spec, "joint_state": state}))
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def _varied_object(
+    item: SceneObject, mass: float, friction: float, one: Variation, joints: dict[str, int]
+) -> ObjectSpec:
+    spec = item.spec
+    materials = tuple(
+        m.model_copy(update={"density": m.density * mass, "friction": m.friction * friction})
+        for m in spec.materials
+    )
+    parts = []
+    for part in spec.parts:
+        update: dict[str, object] = {} if part.mass is None else {"mass": part.mass * mass}
+        if part.inertia is not None:
+            moments, products = (
+                tuple(mass * v for v in values)
+                for values in (part.inertia.moments, part.inertia.products)
+            )
+            update["inertia"] = part.inertia.model_copy(
+                update={"moments": moments, "products": products}
+            )
+        parts.append(part.model_copy(update=update))
+    moved = tuple(
+        joint.model_copy(
+            update={
+                "friction": joint.friction * float(one.joint_friction[joints[joint.name]]),
+                "damping": joint.damping * float(one.joint_damping[joints[joint.name]]),
+            }
+        )
+        if joint.name in joints
+        else joint
+        for joint in spec.joints
+    )
+    return spec.model_copy(update={"materials": materials, "parts": tuple(parts), "joints": moved})

@@ -1,0 +1,123 @@
+"""Draws from what a photograph leaves open: poses, sizes, openings, the camera, and physics.
+
+The alignment estimates poses and sizes with their standard deviations (`SceneObject.uncertainty`)
+and correlations (`SceneSpec.correlation`). Quantities that no picture shows have a prior.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..spec import SceneSpec, joint_value
+from ..spec.correlation import EACH, PoseCorrelation
+from .layout import Layout, Variation
+from .model import BALL, CompiledScene
+from .photo_view import photo_deviations
+
+
+class PhysicalPrior(NamedTuple):
+    """Standard deviations of the logarithms of quantities that no picture shows.
+
+    The center of each prior is the value in the scene.
+
+    | quantity | deviation | source |
+    |---|---|---|
+    | density of an object | 0.30 | woods of one appearance differ by a factor of 1.5 to 2 in density (Forest Products Laboratory, Wood Handbook, FPL-GTR-282, tables 4-3 and 5-3); walls and fillings are not seen |
+    | friction of its contacts | 0.25 | laboratories that measure one pair of materials differ by 18 to 20 % (Czichos, Becker, Lexow, VAMAS, Wear 114, 1987); the material is guessed |
+    | dry friction of a joint | 0.70 | assumed: within a factor of 2, since it is derived from the weight of the part (`program/assemble.py`) |
+    | damping of a joint | 0.70 | assumed, for the same reason |
+    """  # noqa: E501
+
+    density: float = 0.30
+    friction: float = 0.25
+    joint_friction: float = 0.70
+    joint_damping: float = 0.70
+
+
+class Draws(NamedTuple):
+    """Draws about a scene."""
+
+    layouts: Layout
+    variation: Variation
+    camera: Float[np.ndarray, "pop 4"]
+    """Changes of the camera's pitch and roll [rad], and of the logarithms of its focal length and
+    height."""
+
+
+def pose_factor(scene: SceneSpec) -> Float[np.ndarray, "value normal"]:
+    """Return a matrix F, such that F z has the covariance of the estimate if z is standard normal.
+
+    The values are four of the camera, as in `Draws.camera`, and then four of each object: x and y
+    [m] in the frame of its support, yaw [rad] and log size. An object or camera that was not
+    aligned does not vary. Without stored correlations, all deviations are independent.
+    """
+    axes, others = photo_deviations(scene)
+    names = [item.name for item in scene.objects]
+    known = scene.correlation or PoseCorrelation()
+    count = 4 * (1 + len(names))
+    correlation = np.eye(count)
+    rows = [0, *(1 + names.index(name) for name in known.objects if name in names)]
+    kept = [0, *(1 + k for k, name in enumerate(known.objects) if name in names)]
+    block = lambda objects: (4 * np.array(objects)[:, None] + np.arange(4)).ravel()
+    if known.objects:
+        correlation[np.ix_(block(rows), block(rows))] = known.matrix()[
+            np.ix_(block(kept), block(kept))
+        ]
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    scale = np.zeros((count, count))
+    scale[:EACH, :EACH] = np.diag(known.camera)
+    for k in range(len(names)):
+        first = EACH * (1 + k)
+        scale[first : first + 2, first : first + 2] = axes[k]
+        scale[first + 2, first + 2], scale[first + 3, first + 3] = others[k]
+    return scale @ root
+
+
+def draw(
+    scene: CompiledScene,
+    rng: np.random.Generator,
+    n: int,
+    prior: PhysicalPrior | None = None,
+) -> Draws:
+    """Draw from the estimate of a scene, and from the priors.
+
+    Openings stay within the ranges of their joints.
+    """
+    spec, static, p = scene.spec, scene.static, prior or PhysicalPrior()
+    count, joints = len(static.names), len(static.joints)
+    values = rng.standard_normal((n, EACH * (1 + count))) @ pose_factor(spec).T
+    each = values[:, EACH:].reshape(n, count, EACH)
+    factors = lambda deviation, size: np.exp(deviation * rng.standard_normal((n, size)))
+    deviation, low, high = openings(scene)
+    shift = np.clip(deviation * rng.standard_normal((n, joints)), low, high)
+    return Draws(
+        Layout(each[..., :2], each[..., 2], each[..., 3]),
+        Variation(
+            factors(p.density, count),
+            factors(p.friction, count),
+            factors(p.joint_friction, joints),
+            factors(p.joint_damping, joints),
+            shift,
+        ),
+        values[:, :EACH],
+    )
+
+
+def openings(scene: CompiledScene) -> Float[np.ndarray, "3 joint"]:
+    """Return the deviation of each joint's position, and the bounds of its change [rad or m]."""
+    static, rows = scene.static, []
+    for k, name in enumerate(static.joint_names):
+        item = scene.spec.objects[static.joint_object[k]]
+        joint = item.spec.joint(name.split("-", 1)[1])
+        known = {} if item.uncertainty is None else item.uncertainty.joints
+        if static.mjm.jnt_type[static.joints[k]] == BALL or joint.name not in known:
+            rows.append((0.0, 0.0, 0.0))
+            continue
+        value = joint_value(item.spec, joint, item.joint_state)
+        limits = (-np.inf, np.inf)
+        if joint.type != "continuous":
+            limits = (min(joint.lower - value, 0.0), max(joint.upper - value, 0.0))
+        rows.append((known[joint.name], *limits))
+    return np.array(rows, float).reshape(-1, 3).T

@@ -1,0 +1,260 @@
+"""Draws about a scene: their spread, their physics, and what is refused."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import neoworld_mjx as nw
+from neoworld_mjx.commands.sample_command import SampleCommand
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.environments.samples import SceneSamples
+from neoworld_mjx.errors import EngineError, RunError, SpecError
+from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.physics.mjx_engine import MjxEngine
+from neoworld_mjx.physics.model import compile_for_simulation
+from neoworld_mjx.physics.model_fields import model_fields
+from neoworld_mjx.physics.posterior import PhysicalPrior, draw
+from neoworld_mjx.physics.rest import rest
+from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
+from neoworld_mjx.spec.correlation import PoseCorrelation
+from neoworld_mjx.spec.scene import PoseUncertainty
+from tests.support import scenes
+
+OPTIONS = RefineOptions(check_duration_s=0.5)
+CAMERA = Camera(width=640, height_px=480, fovy=0.7, height=0.6, pitch=0.5)
+
+
+def block(name, size=(0.06, 0.06, 0.06)):
+    return scenes.single(name, (Box(size=size), (0, 0, 0)))
+
+
+def known(along=0.0, across=0.0, yaw=0.0, log_scale=0.0, **joints):
+    return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale, joints=joints)
+
+
+def two(first, second, correlation=None, **fields):
+    """Two blocks on a table in front of a camera, with their uncertainties."""
+    scene = scenes.on_table(
+        (block("one"), (0.0, 0.1), 0.0, {"uncertainty": first}),
+        (block("two"), (0.0, -0.1), 0.0, {"uncertainty": second, **fields}),
+    )
+    table = scene.objects[0].model_copy(update={"xy": (1.0, 0.0)})
+    objects = (table, *scene.objects[1:])
+    return scene.model_copy(
+        update={"objects": objects, "camera": CAMERA, "correlation": correlation}
+    )
+
+
+def correlated(rho):
+    """Two objects whose distances along the view have this correlation."""
+    matrix = np.eye(12)
+    matrix[4, 8] = matrix[8, 4] = rho
+    return PoseCorrelation.of(("one", "two"), matrix).model_copy(update={"camera": (0.0,) * 4})
+
+
+@pytest.mark.parametrize("rho", [None, 0.9])
+def test_draws_have_the_deviations_and_correlations_of_the_estimate(rho):
+    given = known(along=0.02, across=0.002, yaw=0.1, log_scale=0.05)
+    scene = two(given, given, None if rho is None else correlated(rho))
+    draws = draw(compile_for_simulation(scene), np.random.default_rng(0), 4000)
+    xy = draws.layouts.xy[:, 1:]
+    ahead = np.array([1.0, 0.1]) / np.hypot(1.0, 0.1)
+    along, across = xy[:, 0] @ ahead, xy[:, 0] @ [-ahead[1], ahead[0]]
+    assert along.std() == pytest.approx(0.02, rel=0.05)
+    assert across.std() == pytest.approx(0.002, rel=0.05)
+    assert draws.layouts.yaw[:, 1].std() == pytest.approx(0.1, rel=0.05)
+    assert draws.layouts.log_scale[:, 2].std() == pytest.approx(0.05, rel=0.05)
+    gap = (xy[:, 1] - xy[:, 0]) @ [1.0, 0.0]
+    assert gap.std() == pytest.approx(0.02 * np.sqrt(2 * (1 - (rho or 0.0))), rel=0.08)
+    assert not draws.layouts.xy[:, 0].any()
+
+
+def test_an_object_on_a_wall_varies_along_the_wall():
+    wall = scenes.single("wall", (Box(size=(2.0, 0.1, 1.0)), (0, 0, 0)))
+    stands = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.0, 0.5))
+    on_wall = {"parent": "wall", "relation": "attached", "fixed_base": True, "xy": (0.0, -0.08)}
+    board = scenes.SceneObject(
+        name="board", spec=block("board"), uncertainty=known(across=0.02), **on_wall
+    )
+    scene = SceneSpec(objects=(stands, board), camera=CAMERA)
+    draws = draw(compile_for_simulation(scene), np.random.default_rng(0), 500)
+    x, y = draws.layouts.xy[:, 1].std(axis=0)
+    assert x == pytest.approx(0.02, rel=0.1) and y == 0.0
+
+
+def test_openings_vary_within_the_range_of_their_joint():
+    scene = scenes.furnished()
+    objects = [
+        item.model_copy(update={"uncertainty": known(slide=0.2), "joint_state": {"slide": 0.05}})
+        if item.name == "cabinet"
+        else item
+        for item in scene.objects
+    ]
+    world = compile_for_simulation(scene.model_copy(update={"objects": tuple(objects)}))
+    shift = draw(world, np.random.default_rng(0), 200).variation.joint_shift
+    slide = world.static.joint_names.index("cabinet-slide")
+    assert shift[:, slide].min() == pytest.approx(-0.05)
+    assert shift[:, slide].max() == pytest.approx(0.25)
+    assert not np.delete(shift, slide, axis=1).any()
+
+
+@pytest.fixture(scope="module")
+def samples():
+    given = known(along=0.004, across=0.004, yaw=0.05, log_scale=0.03)
+    return nw.sample(two(given, given, fixed_base=True), 12, seed=3, options=OPTIONS)
+
+
+def test_draws_stand_and_fixed_objects_vary_with_the_others(samples):
+    assert isinstance(samples, SceneSamples) and len(samples) == 12
+    assert samples.stands.all() and samples.phrase().startswith("stands in 12 of 12")
+    spread = np.asarray(samples.poses.pos).std(axis=0)[:, :2].max(axis=1)
+    assert spread[0] == 0.0 and (spread[1:] > 0.002).all() and (spread < 0.008).all()
+    assert samples.weights.sum() == pytest.approx(1.0)
+    assert samples.weights[samples.kept] == pytest.approx(1 / len(samples.kept))
+
+
+def test_the_scene_of_a_draw_is_the_simulated_model(samples):
+    fields = model_fields(samples.model, samples.poses, np)
+    for k in (0, 5):
+        scene = SceneSpec.model_validate_json(samples.scene(k).to_json())
+        model = compile_for_simulation(scene).static.mjm
+        for name in ("body_mass", "body_inertia", "geom_friction", "body_pos", "body_quat"):
+            given = np.reshape(np.asarray(fields[name])[k], getattr(model, name).shape)
+            np.testing.assert_allclose(given, getattr(model, name), rtol=1e-5, atol=1e-9)
+    masses = np.asarray(samples.poses.variation.mass)
+    assert np.log(masses).std() == pytest.approx(PhysicalPrior().density, rel=0.4)
+
+
+def test_a_draw_is_measured_like_its_scene_alone():
+    """The batch scales the meshes of its draws; a scene alone is compiled at its size."""
+    given = known(along=0.002, across=0.002, yaw=0.05, log_scale=0.08)
+    objects = [
+        item if item.environment else item.model_copy(update={"uncertainty": given})
+        for item in scenes.coffee().objects
+    ]
+    scene = scenes.coffee().model_copy(update={"objects": tuple(objects)})
+    samples = nw.sample(scene, 3, options=OPTIONS)
+    assert np.ptp(samples.poses.scale[:, 1:]) > 0.05
+    for k, measure in enumerate(samples.measures):
+        alone = scene_measure(samples.scene(k), duration=OPTIONS.check_duration_s)
+        assert measure.depths_m == pytest.approx(alone.depths_m, abs=2e-6)
+        assert measure.drift_m == pytest.approx(alone.drift_m, abs=2e-4)
+
+
+def test_losses_and_openings_of_a_draw_are_those_of_the_simulated_model():
+    scene = scenes.furnished()
+    objects = [
+        item.model_copy(update={"uncertainty": known(slide=0.02), "joint_state": {"slide": 0.1}})
+        if item.name == "cabinet"
+        else item
+        for item in scene.objects
+    ]
+    scene = scene.model_copy(update={"objects": tuple(objects)})
+    samples = nw.sample(scene, 2, options=OPTIONS)
+    fields = model_fields(samples.model, samples.poses, np)
+    compiled = compile_for_simulation(samples.scene(1)).static
+    for name in ("dof_damping", "dof_frictionloss"):
+        given = np.reshape(np.asarray(fields[name])[1], getattr(compiled.mjm, name).shape)
+        np.testing.assert_allclose(given, getattr(compiled.mjm, name), rtol=1e-6)
+    slide = compiled.mjm.joint("cabinet-slide").qposadr[0]
+    assert fields["qpos"][1, slide] == pytest.approx(compiled.start[slide], abs=1e-7)
+    assert compiled.start[slide] != pytest.approx(0.1, abs=1e-4)
+
+
+def test_the_same_seed_draws_the_same(samples, tmp_path):
+    again = nw.sample(samples.model.spec, 12, seed=3, options=OPTIONS)
+    other = nw.sample(samples.model.spec, 12, seed=4, options=OPTIONS)
+    np.testing.assert_array_equal(again.poses.pos, samples.poses.pos)
+    assert not np.array_equal(other.poses.pos, samples.poses.pos)
+    again.write(tmp_path / "samples.npz")
+    stored = np.load(tmp_path / "samples.npz")
+    assert list(stored["objects"]) == ["table", "one", "two"]
+    np.testing.assert_array_equal(stored["pos"], samples.poses.pos)
+
+
+def test_a_draw_that_falls_is_refused_with_the_reason():
+    """A block at the edge of a table falls off it in some draws."""
+    scene = two(known(), known(across=0.05))
+    table, one, other = scene.objects
+    edge = other.model_copy(update={"xy": (0.0, -0.37)})
+    scene = scene.model_copy(update={"objects": (table, one, edge), "camera": None})
+    samples = nw.sample(scene, 16, options=OPTIONS)
+    assert 2 < samples.stands.sum() < 16
+    assert (samples.weights[~samples.stands] == 0).all()
+    refused = {reason for reason in samples.reasons if reason}
+    assert refused and all(reason.startswith("two ") for reason in refused)
+    assert f"stands in {samples.stands.sum()} of 16" in repr(samples)
+
+
+def test_a_draw_that_leaves_its_pixels_is_refused():
+    scene = two(known(across=0.03), known())
+    samples = nw.sample(scene, 12, options=OPTIONS)
+    assert samples.stands.all() and 0 < len(samples.kept) < 12
+    refused = np.setdiff1d(np.arange(12), samples.kept)
+    assert {samples.reasons[k] for k in refused} == {"one leaves its pixels"}
+    assert samples.shift_px[refused, 1].min() > samples.shift_px[samples.kept, 1].max()
+    assert len(nw.sample(scene, 12, options=OPTIONS, max_px=1e3).kept) == 12
+
+
+def test_each_draw_has_its_camera_if_the_camera_is_uncertain():
+    scene = two(known(across=0.01), known(across=0.01))
+    assert nw.sample(scene, 2, options=OPTIONS).scene(0).camera == CAMERA
+    deviations = {"camera": (0.02, 0.0, 0.05, 0.0)}
+    correlation = correlated(0.0).model_copy(update=deviations)
+    samples = nw.sample(scene.model_copy(update={"correlation": correlation}), 32, options=OPTIONS)
+    cameras = [samples.scene(k).camera for k in range(32)]
+    assert np.std([c.pitch for c in cameras]) == pytest.approx(0.02, rel=0.4)
+    assert np.std([np.log(c.focal) for c in cameras]) == pytest.approx(0.05, rel=0.4)
+    assert {c.roll for c in cameras} == {0.0}
+
+
+def test_bad_input_gets_one_line(samples):
+    with pytest.raises(SpecError, match="n is 0"):
+        nw.sample(samples.model.spec, 0)
+    with pytest.raises(ValueError, match="2 objects need 66 values below the diagonal, got 1"):
+        PoseCorrelation(objects=("one", "two"), lower=(0.5,))
+    with pytest.raises(ValueError, match="from -1 to 1"):
+        PoseCorrelation(objects=(), lower=(1.5,))
+    with pytest.raises(EngineError, match="mjx cannot vary masses"):
+        rest(samples.model, samples.poses, hold=None, free_s=0.1, engine=MjxEngine())
+
+
+def test_the_code_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    """docs/how-to/sample-scenes.md"""
+    page = Path(__file__).parents[2] / "docs/how-to/sample-scenes.md"
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
+    assert code.count("\n") <= 12
+    scene = two(known(across=0.004), known(across=0.004))
+    objects = [
+        item.model_copy(update={"name": {"one": "cup", "two": "spoon"}.get(item.name, item.name)})
+        for item in scene.objects
+    ]
+    scene = scene.model_copy(update={"objects": tuple(objects)})
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/scene.json").write_text(scene.to_json(), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(code.replace("64", "8"), {})
+    printed = capsys.readouterr().out
+    assert "stands in 8 of 8" in printed
+    low, high = map(float, re.search(r"interval (\S+) to (\S+) mm", printed).groups())
+    assert 120 < low < high < 160
+
+
+def test_the_command_writes_draws_and_scenes(tmp_path):
+    scene = two(known(across=0.004), known(across=0.004))
+    (tmp_path / "scene.json").write_text(scene.to_json(), encoding="utf-8")
+    command = SampleCommand(target=tmp_path / "scene.json", n=3, export=tmp_path / "scenes")
+    result = command.run()
+    assert result["draws"] == result["kept"] == 3 and result["refused"] == {}
+    assert command.lines(result)[0] == "stands in 3 of 3"
+    assert len(np.load(tmp_path / "samples.npz")["weights"]) == 3
+    stored = read_scene(tmp_path / "scenes/0001/scene.json")
+    assert stored.object("one").xy != scene.object("one").xy
+    assert (tmp_path / "scenes/0002/scene.xml").is_file()
+    with pytest.raises(RunError, match="not an empty folder"):
+        command.run()
+    bare = scenes.blocks().to_json()
+    (tmp_path / "scene.json").write_text(bare, encoding="utf-8")
+    assert "not aligned" in SampleCommand(target=tmp_path, n=1).run()["note"]
