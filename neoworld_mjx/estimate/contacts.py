@@ -37,7 +37,7 @@ DEEP_M = 0.005
 wrong shapes."""
 
 
-class Point(NamedTuple):
+class ContactPoint(NamedTuple):
     """A point of an object, whose motion changes a gap by share * normal @ motion."""
 
     object: int
@@ -55,7 +55,7 @@ class Gap(NamedTuple):
     deviation: float
     """Standard deviation of a negative value [m]."""
     normal: Float[np.ndarray, " 3"]
-    points: tuple[Point, ...]
+    points: tuple[ContactPoint, ...]
 
 
 class ContactGaps(NamedTuple):
@@ -216,7 +216,7 @@ def contacts(colliders: SceneGeoms, unknowns: Unknowns, now: Placement) -> Itera
             continue
         pair = int(colliders.owner[a]), int(colliders.owner[b])
         points = tuple(
-            Point(k, int(colliders.body[g]), end, share)
+            ContactPoint(k, int(colliders.body[g]), end, share)
             for k, g, end, share in zip(pair, (a, b), ends.reshape(2, 3), (-1.0, 1.0), strict=True)
         )
         # The two end points are swapped for overlapping geoms.
