@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ..physics.mjcf import object_of_body
 from ..spec import bounds, world_poses
 from ..spec.pose import IDENTITY
-from .contacts import Gap, ContactPoint, SceneGeoms
+from .contacts import ContactPoint, Gap, SceneGeoms
 from .unknowns import Placement, Unknowns
 
 LEAST_MASS_KG = 1e-9
