@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
     from .evidence.known_camera import KnownCamera as KnownCamera
+    from .evidence.known_objects import KnownObjects as KnownObjects
+    from .evidence.known_objects import KnownSize as KnownSize
     from .evidence.masks import Masks as Masks
     from .physics.engine import rollout as rollout
     from .physics.gripper import Gripper as Gripper
@@ -48,6 +50,8 @@ _LOCATIONS = {
     "Evidence": "evidence.evidence",
     "Gripper": "physics.gripper",
     "KnownCamera": "evidence.known_camera",
+    "KnownObjects": "evidence.known_objects",
+    "KnownSize": "evidence.known_objects",
     "Layout": "physics.layout",
     "Masks": "evidence.masks",
     "Problem": "refinement.algorithm",
@@ -80,6 +84,8 @@ __all__ = [
     "Evidence",
     "Gripper",
     "KnownCamera",
+    "KnownObjects",
+    "KnownSize",
     "Layout",
     "Masks",
     "Problem",

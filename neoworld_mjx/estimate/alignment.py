@@ -280,6 +280,8 @@ is attached to a wall, whose height is another unknown, and of supports of the e
 TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
 """Changes of a log size and of a height above a support up to which a t distribution has heavy
 tails, if there is a depth image."""
+KNOWN = 1e-6
+"""Standard deviation of an unknown whose value the user knows, in the unit of the unknown."""
 LEAST_CLEARANCE_M = 0.005
 """Least standard deviation of the position of an object in a container [m]."""
 
@@ -381,6 +383,9 @@ def prior_precision(
         deviation = LEVEL_M if held else RISE_M
         for u in unknowns.rise_columns(k):
             precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
+    known = list(unknowns.known)
+    precision[known] = precision[:, known] = 0.0
+    precision[known, known] = 1 / KNOWN**2
     return precision
 
 

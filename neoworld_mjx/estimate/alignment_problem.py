@@ -106,6 +106,7 @@ class AlignmentProblem:
             place = place_by_depth(first, k)
             if place is not None and not unknowns.in_wall[k].any():
                 x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
+        x[list(unknowns.known)] = 0.0
         return x
 
     def camera_start(self) -> Float[np.ndarray, " u"]:

@@ -413,7 +413,7 @@ class NormalEquations:
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
             self._add(self._blocks[source][k], -1.0, precision, gradient)
-        fixed = dict(held or {})
+        fixed = dict.fromkeys(self._unknowns.known, 0.0) | dict(held or {})
         first = self._unknowns.first_joint
         while True:
             x = self._x + self._separated(*self._fixed(precision, gradient, fixed))[: len(self._x)]

@@ -224,7 +224,7 @@ def other_supports(
     solids = {node.name: SolidColumns(node, objects[node.name]) for node in nodes}
     supports = {}
     for node in nodes:
-        if node.parent is None or node.relation not in ("on", "in"):
+        if node.parent is None or node.relation not in ("on", "in") or node.cues.kept:
             continue
         candidates = _candidates(fitted, node, solids)
         if not candidates:

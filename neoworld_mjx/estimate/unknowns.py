@@ -110,6 +110,16 @@ class Unknowns:
     rises: bool = False
     """True if the heights of free objects above their supports are unknowns."""
 
+    @cached_property
+    def known(self) -> tuple[int, ...]:
+        """Indices of the unknowns whose value is known to be 0; see `SceneObject.known`."""
+        found = list[int]()
+        for k in self.free.tolist():
+            known = self.scene.objects[k].known
+            pose = [*range(self.size)[self.columns(k)], *self.rise_columns(k)]
+            found += {"pose": pose, "size": [self.columns(k).stop - 1], None: []}[known]
+        return tuple(found)
+
     @classmethod
     def of(
         cls,

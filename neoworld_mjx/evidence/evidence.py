@@ -7,6 +7,7 @@ from jaxtyping import UInt8
 
 from .depth_image import DepthImage
 from .known_camera import KnownCamera
+from .known_objects import KnownObjects
 from .lens import Lens
 from .masks import Masks
 
@@ -26,6 +27,8 @@ class Evidence:
     """Depth image of the photograph's view; used only with a photograph."""
     masks: Masks | None = None
     """Masks of the objects in the photograph."""
+    objects: KnownObjects = field(default_factory=KnownObjects)
+    """Assets in place of programs, known sizes, and objects that stay where they were placed."""
     boxes: bool = True
     """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
     own. The tree is then not fitted to them."""

@@ -193,6 +193,7 @@ def compile_scene(
     boxes = [bounds(item.spec, item.joint_state) for item in scene.objects]
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     environment = np.array([item.environment for item in scene.objects])
+    optimised = ~environment & np.array([item.known != "pose" for item in scene.objects])
     points = np.stack([surface_samples(o, samples) for o in scene.objects])
     arrays = SceneArrays(
         arrangement=static.arrangement,
@@ -201,7 +202,8 @@ def compile_scene(
         round=np.array([is_round(o) for o in scene.objects]),
         colliders=collect_colliders(scene.objects),
         photo=photo_view(scene),
-        optimised=~environment,
+        optimised=optimised,
+        resized=optimised & np.array([item.known is None for item in scene.objects]),
         movable=np.array([not item.static for item in scene.objects]),
         diagonal=np.array([diagonal(item) for item in scene.objects]),
         corners=np.array([a + unit * (b - a) for a, b in boxes]),

@@ -1,7 +1,7 @@
 """Step 4 of a run: compose the scene of the built objects and align it with the photograph."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,7 +93,9 @@ def compose_scene(context: StepContext) -> None:
             if evidence.photo is not None and options.looks:
                 from ..estimate.looks import as_photographed
 
-                scene = as_photographed(scene, evidence.photo)
+                scene = _with_own_looks(
+                    as_photographed(scene, evidence.photo), scene, evidence.objects.assets
+                )
                 if base is not None:
                     scene = scene.model_copy(update={"backdrop": None})
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
@@ -217,6 +219,15 @@ def _write_alignment(
         run.fallback("compose", "the scene is not aligned with the photograph", reason)
     for outcome, reason in alignment.notes(scene):
         run.note("compose", outcome, reason)
+
+
+def _with_own_looks(scene: SceneSpec, before: SceneSpec, assets: Collection[str]) -> SceneSpec:
+    """Return a scene in which known assets have the materials that they had before."""
+    objects = tuple(
+        old if item.name in assets else item
+        for item, old in zip(scene.objects, before.objects, strict=True)
+    )
+    return scene.model_copy(update={"objects": objects})
 
 
 def _record_notes(run: RunFolder, placed: "LayoutEstimate") -> None:

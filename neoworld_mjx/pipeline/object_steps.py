@@ -1,6 +1,7 @@
 """Steps 1 to 3 of a run: parse the photograph, program the objects, verify them."""
 
 import asyncio
+import json
 from collections.abc import Coroutine, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -38,16 +39,23 @@ def parse_photo(context: StepContext) -> None:
     from ..evidence.consistency import check_distances
     from ..parse.parse import parse
     from ..render import to_png
-    from .given_evidence import kept_evidence
+    from .given_evidence import kept_evidence, parse_inputs
 
     run, options = context.run, context.config.parse
     photo, models = context.photo_and_models()
-    inputs = {"photo": photo.sha256, "options": options, **context.evidence}
+    known = kept_evidence(run)
+    inputs = {"photo": photo.sha256, "options": options, **parse_inputs(context.evidence)}
     with run.step("parse", inputs) as out:
         if out is None:
             return
-        known = kept_evidence(run)
-        parsed = run_coroutine(parse(photo, models, options, known=known.camera, depth=known.depth))
+        parsed = run_coroutine(
+            parse(
+                *(photo, models, options),
+                known=known.camera,
+                depth=known.depth,
+                objects=known.objects,
+            )
+        )
         if known.depth is not None:
             check_distances(known.depth, parsed.response_tree)
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
@@ -66,16 +74,21 @@ def parse_photo(context: StepContext) -> None:
 def program_objects(context: StepContext) -> None:
     """Step 2: write program.py, spec.json and program.json of all objects, in parallel.
 
+    A known asset is written as spec.json, without a program.
+
     If programs are written in three stages, the parts of program.py are also written, as
     geometry.py, articulation.py and export.py. If models corrected measured boxes, tree.json is
     written again with the corrected sizes.
     """
+    from .given_evidence import kept_evidence
+
     run, options = context.run, context.config.program
     photo, models = context.photo_and_models()
-    tree = read_tree(run, before="program")
+    tree, known = read_tree(run, before="program"), kept_evidence(run).objects
+    known.check_names(tree)
     crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
-    inputs = program_inputs(tree, crop_by_name, colours, options)
+    inputs = program_inputs(tree, crop_by_name, colours, options, known.assets)
 
     # The time of an object starts when the previous object finishes, so that times add up.
     last_finished = run.now()
@@ -84,6 +97,10 @@ def program_objects(context: StepContext) -> None:
         nonlocal last_finished
         name, colour = f"program/{node.name}", colours.get(node.name)
         if run.finished(name, inputs[node.name]):
+            return
+        if node.name in known.assets:
+            write_asset(run, name, node.name, known.assets[node.name], inputs[node.name])
+            last_finished = run.now()
             return
         result = await synthesise(
             node,
@@ -119,10 +136,16 @@ def program_inputs(
     crops: Mapping[str, Crop],
     colours: Mapping[str, SupportColour],
     options: ProgramOptions,
+    assets: Mapping[str, ObjectSpec],
 ) -> dict[str, dict[str, object]]:
-    """Return everything that determines the program of each object, by the object's name."""
+    """Return everything that determines the program of each object, by the object's name.
+
+    An asset takes the place of a program.
+    """
     return {
-        node.name: {
+        node.name: {"asset": assets[node.name]}
+        if node.name in assets
+        else {
             "node": node.model_dump(mode="json"),
             "crop": crops[node.name].picture.pixels,
             "options": options.model_dump(mode="json"),
@@ -131,6 +154,18 @@ def program_inputs(
         }
         for node in tree.nodes
     }
+
+
+def write_asset(
+    run: RunFolder, step: str, name: str, spec: ObjectSpec, inputs: Mapping[str, object]
+) -> None:
+    """Write the files of an object whose asset is known; it has no program."""
+    with run.step(step, inputs) as out:
+        if out is None:
+            return
+        rounds = json.dumps({"signals": [], "allowances": [], "rounds": []}, indent=1) + "\n"
+        write_object_files(out, name, {SPEC: spec.to_json(), ROUNDS: rounds})
+        run.note(step, f"{name} is the given asset", "no model wrote a program for it")
 
 
 def write_object_files(out: Path, name: str, files: Mapping[str, str]) -> None:
@@ -161,12 +196,17 @@ def _correct_sizes(run: RunFolder, tree: SceneTree) -> None:
 def verify_objects(context: StepContext) -> None:
     """Step 3: write each object's verify.json, and its changed files if it was changed.
 
+    Known assets are tested, and not changed.
+
     These are spec.json, program.patch.json, which Step 3 applied to the object, and, if the critic
     asked for another program, program.py and program.json. Objects are simulated one after another,
     but their requests to models run concurrently.
     """
-    run, options = context.run, context.config.verify
-    tree = read_tree(run, before="verify")
+    from .given_evidence import kept_evidence
+
+    run = context.run
+    unchanged = context.config.verify.model_copy(update={"rounds": 0, "critic": "never"})
+    tree, assets = read_tree(run, before="verify"), kept_evidence(run).objects.assets
     crop_by_name = {} if context.photo is None else crops(context.photo, tree)
     # The time of an object starts when the previous object finishes, so that times add up.
     last_finished = run.now()
@@ -174,6 +214,8 @@ def verify_objects(context: StepContext) -> None:
     async def verify_one(node: TreeNode) -> None:
         nonlocal last_finished
         name, level = f"verify/{node.name}", on_level(node, tree)
+        known = node.name in assets
+        options = unchanged if known else context.config.verify
         spec_file, rounds_file, program_file = (
             run.before("verify", object_file(node.name, file)) for file in (SPEC, ROUNDS, PROGRAM)
         )
@@ -190,7 +232,7 @@ def verify_objects(context: StepContext) -> None:
         spec = read_spec(spec_file)
         tilt, fixed_base = pose_without_scene(node, spec, level=level)
         source, crop = None, crop_by_name.get(node.name)
-        if crop is not None and not node.slab and program_file.is_file():
+        if crop is not None and not (node.slab or known) and program_file.is_file():
             text = program_file.read_text(encoding="utf-8")
             source = ProgramSource(node, crop, text, context.config.program, tree.camera)
         result = await verify_object(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from ..compose.compose import Composed, compose
+from ..compose.layout_patch import apply_layout, kept_layout
 from ..compose.on_supports import in_contact
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
@@ -83,12 +84,14 @@ def place(
         tree = evidence.masks.with_boxes(tree)
     if known is not None:
         tree = with_known_camera(tree, known)
+    tree = evidence.objects.applied(tree, objects)
     fit = None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
         tree, fit = refit_tree(
             tree, objects, visible, change_supports=not evidence.supports, known=known
         )
+        tree = evidence.objects.applied(tree, objects)
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -114,6 +117,7 @@ def place(
         )
         composed, alignment = build(freed.specs), freed.alignment
     scene, notes = in_contact(alignment.scene, options, composed=composed.scene)
+    scene = _with_kept(scene, tree, evidence, options)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
 
@@ -128,12 +132,24 @@ def _composed(
 ) -> Composed:
     """Compose the scene with some objects changed; drop boxes and a camera that are no evidence."""
     composed = compose(tree, {**objects, **changed}, options, name=name)
+    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence, options))
+    composed = dataclasses.replace(composed, scene=scene)
     if evidence.boxes:
         return composed
     bare = tuple(item.model_copy(update={"box2d": None}) for item in composed.scene.objects)
     camera = None if evidence.photo is None else tree.camera
     scene = composed.scene.model_copy(update={"objects": bare, "camera": camera})
     return dataclasses.replace(composed, scene=scene)
+
+
+def _with_kept(
+    scene: SceneSpec, tree: SceneTree, evidence: Evidence, options: ComposeOptions
+) -> SceneSpec:
+    """Return the scene with the objects that the user placed where the tree has them."""
+    keep = evidence.objects.keep
+    if not keep:
+        return scene
+    return apply_layout(scene, kept_layout(scene, tree, keep), options.gap_m)[0]
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from ..names import STEPS
 LOCK, STAGING = ".lock", ".staging"
 _OBJECT = r"objects/\w+"
 _FILES: dict[str, str] = {
-    "parse": r"(tree|parse|annotation|given)\.json|photo\.png|pictures/parse\.png"
+    "parse": r"(tree|parse|annotation|given|known)\.json|photo\.png|pictures/parse\.png"
     rf"|history/response/tree\.json|{_OBJECT}/spec\.json"
     r"|evidence/(evidence\.json|depth\.npy|confidence\.npy|masks\.png)",
     "program": rf"tree\.json|{_OBJECT}/(spec\.json|program\.json|\w+\.py)",
