@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .environments.mjx_environment import mjx_env as mjx_env
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
+    from .evidence.further_photo import FurtherPhoto as FurtherPhoto
     from .evidence.known_camera import KnownCamera as KnownCamera
     from .evidence.known_objects import KnownObjects as KnownObjects
     from .evidence.known_objects import KnownSize as KnownSize
@@ -48,6 +49,7 @@ _LOCATIONS = {
     "CEMState": "refinement.cem",
     "DepthImage": "evidence.depth_image",
     "Evidence": "evidence.evidence",
+    "FurtherPhoto": "evidence.further_photo",
     "Gripper": "physics.gripper",
     "KnownCamera": "evidence.known_camera",
     "KnownObjects": "evidence.known_objects",
@@ -82,6 +84,7 @@ __all__ = [
     "CEMState",
     "DepthImage",
     "Evidence",
+    "FurtherPhoto",
     "Gripper",
     "KnownCamera",
     "KnownObjects",

@@ -36,8 +36,12 @@ class EvidenceFlags:
     evidence: Path | None = None
     """YAML file that names all of these; other flags take precedence."""
 
-    def stated(self) -> "StatedEvidence | None":
-        """Return the stated evidence; None if no flag is given."""
+    def stated(self, photos: tuple[Path, ...] = ()) -> "StatedEvidence | None":
+        """Return the stated evidence; None if no flag is given.
+
+        Args:
+            photos: further photographs of the scene.
+        """
         from ..evidence.evidence_file import StatedEvidence, read_stated
 
         flags: dict[str, Any] = {
@@ -50,6 +54,8 @@ class EvidenceFlags:
                 flags[name] = value
         if self.object:
             flags["objects"] = dict(map(_named_file, self.object))
+        if photos:
+            flags["views"] = [{"photo": str(photo)} for photo in photos]
         own = StatedEvidence(**flags)
         if self.evidence is not None:
             return read_stated(self.evidence).overridden(own)

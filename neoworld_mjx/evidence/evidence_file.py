@@ -21,6 +21,9 @@ from .lens import pinhole_of, undistorted_image
 from .mask_files import read_masks
 from .masks import Masks
 
+MAX_VIEWS = 20
+"""Largest number of further photographs."""
+
 
 class StatedDepth(Spec):
     """A depth image in an evidence file."""
@@ -49,6 +52,18 @@ class StatedMasks(Spec):
     """JSON file with the number of each object."""
 
 
+class StatedView(Spec):
+    """A further photograph in an evidence file."""
+
+    photo: str = Field(max_length=400)
+    camera: str | dict[str, object] | None = None
+    """Its camera, with a pose in the same frame as that of the first photograph if it is known; by
+    default, the file of the first photograph's camera, if it lists this photograph."""
+    boxes: dict[Name, tuple[Number, Number, Number, Number]] = Field(default_factory=dict)
+    """Left, top, right and bottom of the objects' 2D boxes [px], by name; without any, a model is
+    asked for them."""
+
+
 class StatedEvidence(Spec):
     """Contents of an evidence file. Paths are relative to the file."""
 
@@ -62,6 +77,8 @@ class StatedEvidence(Spec):
     """Height of the scene's plane z = 0 in the base frame [m]."""
     depth: str | StatedDepth | None = None
     masks: str | StatedMasks | None = None
+    views: tuple[StatedView, ...] = Field(default=(), max_length=MAX_VIEWS)
+    """Further photographs of the scene."""
     objects: dict[Name, str] = Field(default_factory=dict)
     """Files of assets that take the place of programs, by name of the object."""
     sizes: dict[Name, KnownSize] = Field(default_factory=dict)
@@ -75,7 +92,7 @@ class StatedEvidence(Spec):
     def of_photo(self) -> bool:
         """True if something is stated of a photograph, and not only of objects."""
         names = ("camera", "base", "gravity", "ground", "depth", "masks")
-        return any(getattr(self, name) is not None for name in names)
+        return bool(self.views) or any(getattr(self, name) is not None for name in names)
 
     @property
     def files(self) -> list[str]:
@@ -88,16 +105,18 @@ class StatedEvidence(Spec):
             if isinstance(e, StatedDepth | StatedMasks)
             for name in named
         ]
-        files = (*entries, *inner, *self.objects.values())
+        views = [value for view in self.views for value in (view.photo, view.camera)]
+        files = (*entries, *inner, *self.objects.values(), *views)
         return [value for value in files if isinstance(value, str)]
 
     def overridden(self, other: "StatedEvidence") -> "StatedEvidence":
         """Return a copy in which the stated values of another one take precedence.
 
-        Assets of both are used.
+        Assets and further photographs of both are used.
         """
         update = {name: getattr(other, name) for name in other.model_fields_set}
-        return self.model_copy(update=update | {"objects": self.objects | other.objects})
+        both = {"objects": self.objects | other.objects, "views": (*self.views, *other.views)}
+        return self.model_copy(update=update | both)
 
 
 def read_stated(path: Path) -> StatedEvidence:
@@ -128,6 +147,11 @@ def _moved(stated: StatedEvidence, folder: Path) -> StatedEvidence:
             value = value.model_copy(update={"file": at(value.file), "names": at(value.names)})
         if name in stated.model_fields_set:
             update[name] = at(value)
+    if stated.views:
+        update["views"] = tuple(
+            view.model_copy(update={"photo": at(view.photo), "camera": at(view.camera)})
+            for view in stated.views
+        )
     if stated.objects:
         update["objects"] = {name: at(file) for name, file in stated.objects.items()}
     return stated.model_copy(update=update)

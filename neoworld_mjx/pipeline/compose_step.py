@@ -217,6 +217,15 @@ def _write_alignment(
     if alignment.failure:
         reason = alignment.failure
         run.fallback("compose", "the scene is not aligned with the photograph", reason)
+    for number, further in enumerate(evidence.further, 1):
+        view = alignment.views.get(further.source)
+        if view is not None and view.reason:
+            reason = view.reason
+            run.fallback("compose", f"{further.source} is not used for the layout", reason)
+        elif view is not None:
+            shown = (s.model_copy(update={"camera": view.camera}) for s in (scene, aligned))
+            picture = to_png(outline_picture(further.photo, *shown))
+            (out / f"pictures/view_{number}.png").write_bytes(picture)
     for outcome, reason in alignment.notes(scene):
         run.note("compose", outcome, reason)
 

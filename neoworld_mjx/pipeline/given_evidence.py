@@ -17,6 +17,7 @@ from ..parse.photo import Photo, load_photo
 from ..run_folder import RunFolder
 from ..run_folder.staging import refuse_links
 from ..spec import ObjectSpec
+from .further_photos import VIEWS, keep_further, kept_further, read_further
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
@@ -44,15 +45,16 @@ class RunEvidence:
 
     @property
     def of_photo(self) -> Evidence | None:
-        """Evidence about the photograph, without known objects; None if there is none."""
+        """Evidence about the photograph alone; None if there is none."""
         e = self.evidence
         nothing = e.camera is None and e.depth is None and e.masks is None
-        return None if nothing else replace(e, objects=KnownObjects())
+        return None if nothing else replace(e, objects=KnownObjects(), further=())
 
     @property
     def empty(self) -> bool:
         """True if nothing is known."""
-        return self.of_photo is None and not self.evidence.objects.names
+        others = self.evidence.objects.names or self.evidence.further
+        return self.of_photo is None and not others
 
 
 def read_evidence(file: Path | str, photo: Path | str) -> Evidence:
@@ -73,14 +75,15 @@ def read_evidence(file: Path | str, photo: Path | str) -> Evidence:
 
 
 def _read(stated: StatedEvidence, photo: Photo) -> Evidence:
-    """Read the files of stated evidence, assets included; see `evidence_of`."""
+    """Read the files of stated evidence, assets and photographs included; see `evidence_of`."""
     evidence = evidence_of(stated, photo.path.name, photo.rgb, photo.original_size)
     assets = {
         name: read_asset(Path(file), any_unit=name in stated.sizes)
         for name, file in stated.objects.items()
     }
     objects = evidence.objects.model_copy(update={"assets": assets})
-    return replace(evidence, objects=objects)
+    further = read_further(stated, photo, evidence.lens)
+    return replace(evidence, objects=objects, further=further)
 
 
 def read_asset(file: Path, *, any_unit: bool = False) -> ObjectSpec:
@@ -118,7 +121,7 @@ def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = Non
         RunError: the run's folder contains links.
     """
     # A folder that cannot be read is reported when it is opened.
-    kept = () if folder is None else (folder / FOLDER, folder / KNOWN)
+    kept = () if folder is None else (folder / FOLDER, folder / KNOWN, folder / VIEWS)
     if given is None and folder is not None and any(map(os.path.lexists, kept)):
         refuse_links(folder)
         return RunEvidence(_kept(folder))
@@ -186,6 +189,7 @@ def keep_evidence(run: RunFolder, given: RunEvidence) -> None:
     evidence = given.evidence
     run.record("evidence", used=evidence_lines(evidence), refused=list(given.refused))
     _keep_objects(run, evidence.objects)
+    keep_further(run, evidence.further)
     if given.of_photo is None and not given.refused:
         return
     inputs = {"files": evidence_digest(evidence), "refused": list(given.refused)}
@@ -216,27 +220,28 @@ def _keep_objects(run: RunFolder, objects: KnownObjects) -> None:
 
 def kept_inputs(run: RunFolder) -> dict[str, object]:
     """Return the inputs of the steps that use the evidence in a run folder; empty without any."""
-    paths = {FOLDER: run.path / FOLDER, "known": run.path / KNOWN}
+    paths = {FOLDER: run.path / FOLDER, "known": run.path / KNOWN, VIEWS: run.path / VIEWS}
     return {name: path for name, path in paths.items() if path.exists()}
 
 
 def parse_inputs(inputs: dict[str, object]) -> dict[str, object]:
     """Return the inputs of Step 1 among those of `kept_inputs`.
 
-    What is known of single objects is not among them: a name that the user reads in the parse must
-    not ask for another one.
+    What is known of single objects, and further photographs, are not among them: a name that the
+    user reads in the parse must not ask for another one.
     """
     return {name: value for name, value in inputs.items() if name == FOLDER}
 
 
 def kept_evidence(run: RunFolder) -> Evidence:
     """Return the evidence in a run folder, undistorted like the run's photograph."""
-    return undistorted(_kept(run.path))
+    return replace(undistorted(_kept(run.path)), further=kept_further(run.path, marked=True))
 
 
 def _kept(folder: Path) -> Evidence:
     """Return the evidence in a run folder, in the pixels of the photograph as it was taken."""
-    evidence, file = read_stored(folder / FOLDER), folder / KNOWN
+    evidence = replace(read_stored(folder / FOLDER), further=kept_further(folder))
+    file = folder / KNOWN
     if not file.is_file():
         return evidence
     objects = read_model(file, KnownObjects, EvidenceError, "known objects")

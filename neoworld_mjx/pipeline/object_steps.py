@@ -4,7 +4,7 @@ import asyncio
 import json
 from collections.abc import Coroutine, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..compose.resting_pose import on_level, pose_without_scene
 from ..config import ProgramOptions
@@ -30,24 +30,39 @@ from .step_context import (
     read_tree,
 )
 
+if TYPE_CHECKING:
+    from ..evidence.evidence import Evidence
+
 
 def parse_photo(context: StepContext) -> None:
     """Step 1: write tree.json, parse.json, photo.png and pictures/parse.png.
 
+    If there are further photographs, a model then marks the objects in them (views/boxes.json).
+
     The tree of the model's response, before its fit, is kept as history/response/tree.json.
     """
-    from ..evidence.consistency import check_distances
-    from ..parse.parse import parse
-    from ..render import to_png
+    from .further_photos import mark_objects
     from .given_evidence import kept_evidence, parse_inputs
 
     run, options = context.run, context.config.parse
-    photo, models = context.photo_and_models()
-    known = kept_evidence(run)
+    photo, known = context.photo_and_models()[0], kept_evidence(run)
     inputs = {"photo": photo.sha256, "options": options, **parse_inputs(context.evidence)}
+    if not run.finished("parse", inputs):
+        _parse(context, inputs, known)
+    if known.further:
+        mark_objects(context, read_tree(run, before="program"))
+
+
+def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -> None:
+    """Ask for the scene in the photograph, and write the files of the step."""
+    from ..evidence.consistency import check_distances
+    from ..parse.parse import parse
+    from ..render import to_png
+
+    run, options = context.run, context.config.parse
+    photo, models = context.photo_and_models()
     with run.step("parse", inputs) as out:
-        if out is None:
-            return
+        assert out is not None
         parsed = run_coroutine(
             parse(
                 *(photo, models, options),
