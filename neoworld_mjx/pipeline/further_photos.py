@@ -8,7 +8,7 @@ from PIL import Image
 from pydantic import Field
 
 from ..errors import EvidenceError
-from ..evidence.camera_files import pose_of_value, read_camera
+from ..evidence.camera_files import camera_of_value, pose_of_value, read_camera
 from ..evidence.depth_files import check_aspect
 from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, StatedView, undistorted
@@ -18,6 +18,7 @@ from ..evidence.lens import Lens
 from ..io import read_model
 from ..io.names import repeated
 from ..mllm.panel import run_coroutine
+from ..mllm.requests import digest
 from ..parse.further_boxes import boxes_of_photo
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import RunFolder
@@ -110,8 +111,6 @@ def _read(
 def _camera(value: str | dict[str, object], name: str) -> FileCamera:
     if isinstance(value, str):
         return read_camera(Path(value), name)
-    from ..evidence.camera_files import camera_of_value
-
     return camera_of_value(value, Path(f"camera of {name}"), name).camera
 
 
@@ -158,8 +157,8 @@ def keep_further(run: RunFolder, photos: tuple[FurtherPhoto, ...]) -> None:
         )
     )
     files = [_png(photo) for photo in photos]
-    inputs = {"views": kept, "photos": [Image.open(io.BytesIO(f)).size for f in files]}
-    inputs["pixels"] = [int(np.sum(photo.photo, dtype=np.int64)) for photo in photos]
+    digests = [digest(np.ascontiguousarray(photo.photo).tobytes()) for photo in photos]
+    inputs = {"views": kept, "photos": digests}
     with run.step(PART, inputs) as out:
         if out is None:
             return
