@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from .environments.samples import sample as sample
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
+    from .evidence.further_photo import FurtherPhoto as FurtherPhoto
     from .evidence.known_camera import KnownCamera as KnownCamera
+    from .evidence.known_objects import KnownObjects as KnownObjects
+    from .evidence.known_objects import KnownSize as KnownSize
     from .evidence.masks import Masks as Masks
     from .physics.engine import rollout as rollout
     from .physics.gripper import Gripper as Gripper
@@ -45,8 +48,11 @@ _LOCATIONS = {
     "CEMState": "search.cem",
     "DepthImage": "evidence.depth_image",
     "Evidence": "evidence.evidence",
+    "FurtherPhoto": "evidence.further_photo",
     "Gripper": "physics.gripper",
     "KnownCamera": "evidence.known_camera",
+    "KnownObjects": "evidence.known_objects",
+    "KnownSize": "evidence.known_objects",
     "Layout": "physics.layout",
     "Masks": "evidence.masks",
     "Problem": "search.algorithm",
@@ -77,8 +83,11 @@ __all__ = [
     "CEMState",
     "DepthImage",
     "Evidence",
+    "FurtherPhoto",
     "Gripper",
     "KnownCamera",
+    "KnownObjects",
+    "KnownSize",
     "Layout",
     "Masks",
     "Problem",

@@ -17,7 +17,9 @@ from neoworld_mjx.places import Place
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
-EvidenceName = Literal["fov", "exif", "pose", "depth", "affine", "disparity", "masks"]
+EvidenceName = Literal[
+    "fov", "exif", "pose", "depth", "affine", "disparity", "masks", "second", "stereo"
+]
 """Kinds of evidence of `noise.known_evidence`."""
 KnownView = Literal["photo", "camera", "depth"]
 """Evidence about a real view: the photograph, alone, with its camera, and with its depth."""
@@ -49,7 +51,8 @@ class GivenEvidence:
     evidence: tuple[EvidenceName, ...] = ()
     """Evidence in addition to the photograph, none by default. fov, exif: field of view, calibrated
     or with an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
-    disparity: depth of a network, up to scale and shift; masks."""
+    disparity: depth of a network, up to scale and shift; masks; second, stereo: a second
+    photograph, with unknown or known pose."""
 
 
 @dataclass(frozen=True, kw_only=True)

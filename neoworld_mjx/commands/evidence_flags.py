@@ -1,8 +1,13 @@
-"""Flags of the commands that take evidence about a photograph: its camera, depths and masks."""
+"""Flags of the commands that take evidence: camera, depths and masks of a photograph, objects."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from tyro.conf import UseAppendAction
+
+from ..errors import EvidenceError
 
 if TYPE_CHECKING:
     from ..evidence.evidence_file import StatedEvidence
@@ -25,11 +30,18 @@ class EvidenceFlags:
     """Pose of the camera in a robot's base frame, in which the scene is then expressed."""
     ground: float | None = None
     """Height of the scene's plane z = 0, such as the table's top, in the base frame [m]."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Asset in place of an object's program: NAME=FILE, a URDF, MJCF, glTF or mesh file in meters;
+    repeatable."""
     evidence: Path | None = None
     """YAML file that names all of these; other flags take precedence."""
 
-    def stated(self) -> "StatedEvidence | None":
-        """Return the stated evidence; None if no flag is given."""
+    def stated(self, photos: tuple[Path, ...] = ()) -> "StatedEvidence | None":
+        """Return the stated evidence; None if no flag is given.
+
+        Args:
+            photos: further photographs of the scene.
+        """
         from ..evidence.evidence_file import StatedEvidence, read_stated
 
         flags: dict[str, Any] = {
@@ -40,7 +52,18 @@ class EvidenceFlags:
         for name in ("gravity", "ground"):
             if (value := getattr(self, name)) is not None:
                 flags[name] = value
+        if self.object:
+            flags["objects"] = dict(map(_named_file, self.object))
+        if photos:
+            flags["views"] = [{"photo": str(photo)} for photo in photos]
         own = StatedEvidence(**flags)
         if self.evidence is not None:
             return read_stated(self.evidence).overridden(own)
         return own if flags else None
+
+
+def _named_file(value: str) -> tuple[str, str]:
+    name, equals, file = value.partition("=")
+    if not (equals and file and re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII)):
+        raise EvidenceError(f"--object: got {value!r}, expected NAME=FILE, as in cup=cup.urdf")
+    return name, file

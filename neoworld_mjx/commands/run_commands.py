@@ -23,6 +23,8 @@ class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     """The photograph, or a name that `neoworld examples` lists."""
     out: Path
     """Run folder: new, empty, or a run to continue."""
+    further: Annotated[UseAppendAction[tuple[Path, ...]], arg(name="photo")] = ()
+    """A further photograph of the same scene; repeatable."""
     provider: str | None = None
     """Source of the models' responses: auto, anthropic, openai, replay or mailbox."""
     model: str | None = None
@@ -79,7 +81,7 @@ class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
             record=self.record,
             mailbox=self.mailbox,
             tapes=self.tape,
-            evidence=self.stated(),
+            evidence=self.stated(self.further),
         )
         return result.summary()
 

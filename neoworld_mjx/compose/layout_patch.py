@@ -4,6 +4,7 @@ The patch is stored in the run folder with the files of the steps. Composition a
 the edits persist when earlier steps run again.
 """
 
+from collections.abc import Collection
 from pathlib import Path
 
 from pydantic import Field
@@ -11,7 +12,20 @@ from pydantic import Field
 from ..errors import SpecError
 from ..io import read_model
 from ..io.files import write_atomic
-from ..spec import Box2D, JointKey, Name, Number, SceneSpec, Spec, joint_keys
+from ..spec import (
+    Box2D,
+    JointKey,
+    Name,
+    Number,
+    SceneSpec,
+    SceneTree,
+    Spec,
+    bounds,
+    joint_keys,
+    support_frame,
+    world_poses,
+)
+from ..spec.pose import from_yaw, pose, yaw_of
 
 LAYOUT_PATCH = "layout.patch.json"
 """Name of the patch's file in a run folder."""
@@ -86,6 +100,28 @@ def apply_layout(
     from .on_supports import snap
 
     return snap(scene.model_copy(update={"objects": tuple(objects)}), gap), tuple(stale)
+
+
+def kept_layout(scene: SceneSpec, tree: SceneTree, names: Collection[str]) -> LayoutPatch:
+    """Return the patch that puts some objects of a composed scene where the tree has them.
+
+    Args:
+        scene: the composed scene.
+        tree: the tree, in whose world frame the objects keep positions and headings.
+        names: names of the objects.
+    """
+    poses, placements = world_poses(scene), {}
+    for obj in (scene.object(name) for name in names if name in poses):
+        assert obj.parent is not None
+        low, high = bounds(obj.spec, obj.joint_state)
+        box = tree.node(obj.name).box3d
+        middle = pose((-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, 0.0))
+        placed = pose(box.position, from_yaw(box.yaw)).then(middle)
+        frame = support_frame(scene.object(obj.parent), poses[obj.parent], obj.parent_link)
+        local = frame.inverse().then(placed)
+        xy = (float(local.pos[0]), float(local.pos[1]))
+        placements[obj.name] = ObjectPlacement(xy=xy, yaw=yaw_of(local.quat))
+    return LayoutPatch(objects=placements)
 
 
 def read_layout_patch(folder: Path) -> LayoutPatch:

@@ -29,6 +29,7 @@ from .alignment import (
     FittedUnknowns,
     JointAlignment,
     ObjectAlignment,
+    ViewOutcome,
     is_misjudged,
     opening_deviation,
 )
@@ -36,6 +37,7 @@ from .alignment_problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentSt
 from .camera_evidence import camera_estimates, edges_of_photo
 from .colors import LabImage
 from .contacts import SceneGeoms
+from .further_views import located_views
 from .normal_equations import NormalEquations, Source
 from .rasterize import height_of
 from .standing import Standing
@@ -147,20 +149,36 @@ def _aligned(
             f"camera ({camera.width} x {camera.height_px})"
         )
     rises = evidence.depth is not None
+    further = () if only is not None else evidence.further
+    views, unlocated = located_views(scene, camera, further)
+    refused = {
+        photo.source: ViewOutcome(len(photo.boxes), None, reason=unlocated[photo.source])
+        for photo in further
+        if photo.source in unlocated
+    }
     unknowns_of = partial(
-        Unknowns.of, camera=camera, joints=o.joints and o.contours, only=only, rises=rises
+        Unknowns.of,
+        camera=camera,
+        joints=o.joints and o.contours,
+        only=only,
+        rises=rises,
+        views=views,
     )
     unknowns = unknowns_of(scene)
     if not len(unknowns.free):
         return Alignment(scene)
     widths = {stage.width for stage in stages}
-    images = {w: LabImage.of(photo, w, height_of(camera, w)) for w in widths}
+    photos = [(photo, camera), *((view.photo.photo, view.camera) for view in views)]
+    images = {
+        w: [LabImage.of(rgb, w, height_of(taken_by, w)) for rgb, taken_by in photos] for w in widths
+    }
     colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
     standing = None if colliders is None else Standing.of(unknowns, colliders)
     problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
     try:
         problem = problem.measured(unknowns_of, supports=only is None)
-        return _solution(problem, photo, images, stages)
+        solution = _solution(problem, photo, images, stages)
+        return replace(solution, views=solution.views | refused)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=f"the solver failed: {str(error).splitlines()[0]}")
 
@@ -168,7 +186,7 @@ def _aligned(
 def _solution(
     problem: AlignmentProblem,
     photo: UInt8[np.ndarray, "row column 3"],
-    images: dict[int, LabImage],
+    images: dict[int, list[LabImage]],
     stages: Sequence[AlignmentStage],
 ) -> Alignment:
     unknowns, scene = problem.unknowns, problem.unknowns.scene
@@ -199,7 +217,7 @@ def _solution(
     contradicted: frozenset[int] = frozenset()
     sources: tuple[Source, ...] = ("contour", "depth")
     for source in sources if problem.evidence.depth is not None else sources[:1]:
-        refused = problem.refused(equations, drawn, images[last.width].bins, source)
+        refused = problem.refused(equations, drawn, images[last.width][0].bins, source)
         if not refused:
             continue
         if source == "contour":
@@ -214,7 +232,7 @@ def _solution(
         for _ in range(last.steps):
             equations, drawn = problem.linearized(x, images[last.width], last, reasons)
             x = problem.solved(equations)
-    closed = problem.refused_joints(equations, drawn, images[last.width].bins)
+    closed = problem.refused_joints(equations, drawn, images[last.width][0].bins)
     if closed:
         problem = replace(problem, held=closed)
         for _ in range(last.steps):
@@ -274,6 +292,7 @@ def _result(
             measured=problem.measured_camera,
             edges=problem.edges is not None,
         ),
+        views=_views(unknowns, now),
         fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
     )
 
@@ -299,6 +318,19 @@ def _correlation(
     known = covariance[: unknowns.first_joint, : unknowns.first_joint]
     turn[:CAMERA] *= CALIBRATION[0]
     return PoseCorrelation.of(names, turn @ known @ turn.T)
+
+
+def _views(unknowns: Unknowns, now: Placement) -> dict[str, ViewOutcome]:
+    """Return the outcomes of the further photographs, by their names."""
+    middle = np.median(now.pos[unknowns.free], axis=0)
+    first = now.camera.position() - middle
+    outcomes = {}
+    for view, camera in zip(unknowns.views, now.views, strict=True):
+        other = camera.position() - middle
+        cosine = float(first @ other / max(np.linalg.norm(first) * np.linalg.norm(other), 1e-9))
+        angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+        outcomes[view.photo.source] = ViewOutcome(len(view.photo.boxes), camera, angle)
+    return outcomes
 
 
 def _joints(

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..spec import SceneSpec
+from ..spec import Camera, SceneSpec
 from ..spec.scene import PoseUncertainty
 from .camera_evidence import CameraEstimate
 from .contours import ShapeEvidence
@@ -93,6 +93,26 @@ class ObjectAlignment:
 
 
 @dataclass(frozen=True)
+class ViewOutcome:
+    """What the alignment made of a further photograph."""
+
+    objects: int
+    """Number of objects in it whose boxes are known."""
+    camera: Camera | None
+    """Its camera, in the frame of the aligned scene; None if the photograph is not used."""
+    turn_deg: float = 0.0
+    """Angle at the middle of the scene between the two cameras."""
+    reason: str = ""
+    """Reason why the photograph is not used; empty if it is."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the outcome as JSON data."""
+        camera = None if self.camera is None else self.camera.model_dump(mode="json")
+        values = {"objects": self.objects, "turn_deg": round(self.turn_deg, 2)}
+        return {**values, "camera": camera, "reason": self.reason}
+
+
+@dataclass(frozen=True)
 class FittedUnknowns:
     """Unknowns of an alignment, and their estimated values."""
 
@@ -152,6 +172,8 @@ class Alignment:
     dimensions: dict[str, FreedObject] = field(default_factory=dict)
     """Changes of the dimensions in programs, by object; empty unless `compose.align.dimensions` is
     set."""
+    views: dict[str, ViewOutcome] = field(default_factory=dict)
+    """Further photographs, by their names."""
     fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
     """Unknowns and their estimates; None if there were no unknowns or if the solver failed."""
 
@@ -192,6 +214,10 @@ class Alignment:
                 if opening.is_far:
                     phrase = f"in the photograph joint {joint} {opening.phrase()}"
                     yield f"{name} with a joint opened differently than composed", phrase
+        for name, view in self.views.items():
+            if not view.reason:
+                what = f"it shows {view.objects} objects from {view.turn_deg:.0f} deg aside"
+                yield f"{name} is used for the layout", what
         for name, freed in self.dimensions.items():
             yield f"{name} has other dimensions than its program", freed.phrase()
 
@@ -215,6 +241,7 @@ class Alignment:
                 for name, change in self.objects.items()
             },
             **({"dimensions": self._dimensions()} if self.dimensions else {}),
+            **({"views": {n: v.to_json() for n, v in self.views.items()}} if self.views else {}),
         }
 
     def _dimensions(self) -> dict[str, Any]:
@@ -282,6 +309,8 @@ is attached to a wall, whose height is another unknown, and of supports of the e
 TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
 """Changes of a log size and of a height above a support up to which a t distribution has heavy
 tails, if there is a depth image."""
+KNOWN = 1e-6
+"""Standard deviation of an unknown whose value the user knows, in the unit of the unknown."""
 LEAST_CLEARANCE_M = 0.005
 """Least standard deviation of the position of an object in a container [m]."""
 
@@ -385,6 +414,12 @@ def prior_precision(
         deviation = LEVEL_M if held else RISE_M
         for u in unknowns.rise_columns(k):
             precision[u, u] = 1 / (deviation**2 + min(abs(x[u]), TAIL_RISE_M) ** 2 / FREEDOM)
+    for number, view in enumerate(unknowns.views, 1):
+        columns = unknowns.view_columns(number)
+        precision[np.ix_(columns, columns)] = view.precision
+    known = list(unknowns.known)
+    precision[known] = precision[:, known] = 0.0
+    precision[known, known] = 1 / KNOWN**2
     return precision
 
 

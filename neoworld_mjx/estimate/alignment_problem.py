@@ -1,7 +1,7 @@
 """Problem of the alignment: its evidence, its start, and its equations at some values."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..config import AlignOptions
 from ..evidence.evidence import Evidence
-from ..spec import SceneSpec
+from ..spec import Box2D, SceneSpec
 from .alignment import DepthOutcome, camera_deviations, prior_precision
 from .camera_evidence import linearized_edges
 from .colors import LabImage, is_supported, overlap, shown_at
@@ -24,7 +24,14 @@ from .depth_start import (
     with_places_kept,
 )
 from .image_lines import VerticalEdges
-from .normal_equations import NormalEquations, Source, box_evidence, contour_evidence
+from .normal_equations import (
+    LinearEvidence,
+    NormalEquations,
+    Source,
+    box_evidence,
+    combined,
+    contour_evidence,
+)
 from .rasterize import DrawnObjects
 from .standing import Standing
 from .unknowns import CAMERA, Unknowns
@@ -109,6 +116,7 @@ class AlignmentProblem:
             place = place_by_depth(first, k)
             if place is not None and not unknowns.in_wall[k].any():
                 x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
+        x[list(unknowns.known)] = 0.0
         return x
 
     def camera_start(self) -> Float[np.ndarray, " u"]:
@@ -189,7 +197,7 @@ class AlignmentProblem:
     def linearized(
         self,
         x: Float[np.ndarray, " u"],
-        image: LabImage,
+        images: Sequence[LabImage],
         stage: AlignmentStage,
         silent: Collection[int],
     ) -> tuple[NormalEquations, DrawnObjects]:
@@ -197,7 +205,7 @@ class AlignmentProblem:
 
         Args:
             x: values of the unknowns.
-            image: the photograph at the stage's width.
+            images: the photograph at the stage's width, and the further ones.
             stage: settings of the Gauss-Newton steps.
             silent: indices of the objects whose contours are ignored.
         """
@@ -233,26 +241,40 @@ class AlignmentProblem:
                 if rows is not None and k not in self.without_depth:
                     equations.add_depth(k, rows)
         masks = self.masks_at(drawn)
+        boxes: Mapping[str, Box2D | None]
+        boxes = {item.name: item.box2d for item in unknowns.scene.objects}
+        all_boxes = [boxes, *(view.photo.boxes for view in unknowns.views)]
+        places = [
+            (now.seen_from(number), [place.seen_from(number) for place in neighbors])
+            for number in range(len(images))
+        ]
+        rendered = [drawn, *(unknowns.draw(here, stage.width) for here, _ in places[1:])]
         for k in unknowns.free.tolist():
-            box = box_evidence(unknowns, now, neighbors, drawn, k)
-            if box is not None:
-                equations.add_box(k, box)
-            if stage.reach == 0 or k in silent:
-                continue
-            contour = contour_evidence(
-                unknowns,
-                now,
-                neighbors,
-                drawn,
-                image,
-                k,
-                reach=stage.reach,
-                step=stage.spacing,
-                local_colors=stage.local_colors,
-                known=masks.get(k),
-            )
-            if contour is not None:
-                equations.add_contour(k, contour)
+            name, contours = unknowns.scene.objects[k].name, list[LinearEvidence]()
+            for (here, near), seen, boxes, image in zip(
+                places, rendered, all_boxes, images, strict=True
+            ):
+                box = box_evidence(unknowns, here, near, seen, k, boxes.get(name))
+                if box is not None:
+                    equations.add_box(k, box)
+                if stage.reach == 0 or k in silent:
+                    continue
+                contour = contour_evidence(
+                    unknowns,
+                    here,
+                    near,
+                    seen,
+                    image,
+                    k,
+                    reach=stage.reach,
+                    step=stage.spacing,
+                    local_colors=stage.local_colors,
+                    known=None if here.view else masks.get(k),
+                )
+                if contour is not None:
+                    contours.append(contour)
+            if contours:
+                equations.add_contour(k, combined(contours))
         return equations, drawn
 
     def masks_at(self, drawn: DrawnObjects) -> dict[int, Bool[np.ndarray, "row column"]]:

@@ -10,7 +10,8 @@ heading) only as far as the picture requires:
 - A hidden side has an effect only if the outline does not reach it.
 - `priors` keep all values near the parsed ones.
 - The camera moves only if this improves the fit of several objects.
-- An object whose fit is refused keeps its parsed box and does not affect the others.
+- An object whose fit is refused keeps its parsed box and does not affect the others; so does an
+  object that the user placed.
 - Supports of the environment do not move.
 
 After Step 2, built shapes replace the outlines of categories, see `refit`.
@@ -159,7 +160,7 @@ def fit_tree(
         camera_sd = np.array([deviations.get(name, sd) for name, sd in pairs])
         problem = replace(problem, data=replace(problem.data, camera_sd=camera_sd))
     refused: dict[str, str] = {}
-    fixed = np.zeros(len(objects), bool)
+    kept = fixed = np.array([node.cues.kept for node in objects])
     try:
         x = _solve_with_camera(problem, fixed)
         known_errors = _error_codes(tree)
@@ -168,7 +169,7 @@ def fit_tree(
             if not newly_refused:
                 break
             refused |= newly_refused
-            fixed = np.array([node.name in refused for node in objects])
+            fixed = kept | np.array([node.name in refused for node in objects])
             values = np.where(np.repeat(fixed, 7), problem.data.values.ravel(), x[CAMERA:])
             x = _minimize(problem, np.concatenate([x[:CAMERA], values]), fixed, camera=False)
     except (ValueError, np.linalg.LinAlgError) as error:

@@ -5,14 +5,14 @@ Derivatives of image points with respect to the alignment's unknowns, by finite 
 Evidence from an object's contour and 2D box, linearized in the unknowns.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..spec import Camera
+from ..spec import Box2D, Camera
 from .colors import LabImage, color_models
 from .contacts import ContactGaps
 from .contours import ShapeEvidence, contour, displacements
@@ -69,7 +69,7 @@ def value_jacobian(
     start = along(now.world(body, points), now.camera)
     moved_by = [j for j, joint in enumerate(unknowns.joints) if joint.object == k]
     result = np.zeros((len(points), unknowns.size + STRETCH * (1 + len(moved_by))))
-    for u in [*range(CAMERA), *unknowns.columns_of(k)]:
+    for u in [*range(CAMERA), *unknowns.columns_of(k), *unknowns.view_columns(now.view)]:
         near = neighbors[u]
         result[:, u] = (along(near.world(body, points), near.camera) - start) / STEP
     foot = unknowns.lowest[k] * now.turn[k][2]
@@ -140,6 +140,14 @@ class LinearEvidence:
     global_jacobian: Float[np.ndarray, "n g"] | None = None
     """Derivatives with respect to the scale and shift of the depth image; None if the residuals do
     not depend on them."""
+
+
+def combined(evidence: Sequence[LinearEvidence]) -> LinearEvidence:
+    """Return the evidence of several photographs about one object as one."""
+    if len(evidence) == 1:
+        return evidence[0]
+    parts = ([getattr(e, name) for e in evidence] for name in ("jacobian", "residual", "weight"))
+    return LinearEvidence(*(np.concatenate(part) for part in parts))
 
 
 def contour_evidence(
@@ -255,14 +263,22 @@ def box_evidence(
     neighbors: list[Placement],
     drawn: DrawnObjects,
     k: int,
+    given: Box2D | None,
 ) -> LinearEvidence | None:
-    """Return the evidence of an object's parsed 2D box, or None if no side of the box is used.
+    """Return the evidence of an object's 2D box, or None if no side of the box is used.
 
     A side is used if the object itself ends there, rather than an occluder or the image.
+
+    Args:
+        unknowns: the unknowns.
+        now: the placement, with the camera of the photograph.
+        neighbors: the placements of `Unknowns.neighbors`, with the same camera.
+        drawn: the objects rendered in the placement.
+        k: index of the object.
+        given: the box, in pixels of the photograph.
     """
-    item = unknowns.scene.objects[k]
     shown = drawn.owner == k
-    if item.box2d is None or not shown.any():
+    if given is None or not shown.any():
         return None
     width = shown.shape[1]
     unit = width / REFERENCE_PX
@@ -271,7 +287,7 @@ def box_evidence(
     pixels, depth = pixels_of(now.camera, now.world(k if whole else bodies, points), width)
     if depth.min() <= 0:
         return None
-    box = np.array(item.box2d.as_tuple()) * width / unknowns.camera.width
+    box = np.array(given.as_tuple()) * width / now.camera.width
     rows, columns = window_of(shown)
     visible = columns.start, rows.start, columns.stop, rows.stop
     limit = np.array([shown.shape[1], shown.shape[0]])
@@ -408,7 +424,7 @@ class NormalEquations:
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
             self._add(self._blocks[source][k], -1.0, precision, gradient)
-        fixed = dict(held or {})
+        fixed = dict.fromkeys(self._unknowns.known, 0.0) | dict(held or {})
         first = self._unknowns.first_joint
         while True:
             x = self._x + self._separated(*self._fixed(precision, gradient, fixed))[: len(self._x)]

@@ -7,7 +7,8 @@ The vector `x` consists of
 - pitch, roll, log focal length and log height of the camera,
 - dx, dy, yaw and log scale of each free object,
 - the value of each open joint, at scale 1,
-- with a depth image, the height of each free object above its support.
+- with a depth image, the height of each free object above its support,
+- the translation and rotation of the camera of each further photograph.
 
 All entries are changes from the composed scene, for which `x` is zero. A change of the focal length
 also moves the camera along its view (a dolly zoom), so that the image of the scene's middle does
@@ -17,7 +18,7 @@ the origin, so the scene moves instead.
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +32,7 @@ from ..physics.support import link_frame
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
 from ..spec.pose import Pose, matrix, yaw_of
+from .further_views import EACH_VIEW, ViewCamera
 from .open_joints import MovingPart, OpenJoint, open_joints, part_motions, parts_moved, with_changes
 from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined
 
@@ -49,6 +51,14 @@ class Placement:
     turn: Float[np.ndarray, "body 3 3"]
     """Rotation matrices from the body to the world frame."""
     scale: Float[np.ndarray, " body"]
+    views: tuple[Camera, ...] = ()
+    """Cameras of the further photographs."""
+    view: int = 0
+    """Number of the photograph that `camera` took; 0 is the first one."""
+
+    def seen_from(self, view: int) -> "Placement":
+        """Return the placement with the camera of a photograph."""
+        return replace(self, camera=self.views[view - 1], view=view) if view else self
 
     def world(
         self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
@@ -110,6 +120,18 @@ class Unknowns:
     """Parts that the open joints move. They are the bodies after the objects."""
     rises: bool = False
     """True if the heights of free objects above their supports are unknowns."""
+    views: tuple[ViewCamera, ...] = ()
+    """Cameras of further photographs."""
+
+    @cached_property
+    def known(self) -> tuple[int, ...]:
+        """Indices of the unknowns whose value is known to be 0; see `SceneObject.known`."""
+        found = list[int]()
+        for k in self.free.tolist():
+            known = self.scene.objects[k].known
+            pose = [*range(self.size)[self.columns(k)], *self.rise_columns(k)]
+            found += {"pose": pose, "size": [self.columns(k).stop - 1], None: []}[known]
+        return tuple(found)
 
     @classmethod
     def of(
@@ -120,6 +142,7 @@ class Unknowns:
         joints: bool = True,
         only: Collection[str] | None = None,
         rises: bool = False,
+        views: tuple[ViewCamera, ...] = (),
     ) -> "Unknowns":
         """Return the unknowns of a composed scene.
 
@@ -129,6 +152,7 @@ class Unknowns:
             joints: if True, open joints are unknowns.
             only: names of the objects that may move; if None, all objects with a parent may.
             rises: if True, heights above supports are unknowns.
+            views: cameras of further photographs.
         """
         free = [
             k
@@ -153,12 +177,23 @@ class Unknowns:
             opened,
             parts_moved(items, opened),
             rises,
+            views,
         )
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
+        return self.first_view + EACH_VIEW * len(self.views)
+
+    @property
+    def first_view(self) -> int:
+        """Index of the first unknown of a further camera."""
         return self.first_rise + (len(self.free) if self.rises else 0)
+
+    def view_columns(self, view: int) -> list[int]:
+        """Return the indices of the unknowns of a further camera; empty for the first one."""
+        first = self.first_view + EACH_VIEW * (view - 1)
+        return [*range(first, first + EACH_VIEW)] if view else []
 
     @property
     def size_with_stretches(self) -> int:
@@ -298,7 +333,7 @@ class Unknowns:
         standing = (a.z + self.lowest) * parent - self.lowest * size
         heights = np.where(fixed, a.z * parent + up, standing)
         if self.rises:
-            heights[:, self.free] += x[:, self.first_rise :]
+            heights[:, self.free] += x[:, self.first_rise : self.first_view]
         return heights
 
     def camera_at(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, float]:
@@ -333,8 +368,19 @@ class Unknowns:
                 moved = np.einsum("nij,nj->ni", turn[k], scale[k, None] * shift)
                 pos = np.concatenate([pos, pos[k] + moved])
                 turn, scale = np.concatenate([turn, turn[k] @ own]), np.append(scale, scale[k])
-            placements.append(Placement(camera, pos, turn, scale))
+            placements.append(Placement(camera, pos, turn, scale, self._views(row, camera, ahead)))
         return placements
+
+    def _views(
+        self, row: Float[np.ndarray, " u"], first: Camera, ahead: float
+    ) -> tuple[Camera, ...]:
+        """Return the cameras of the further photographs."""
+        changes = row[self.first_view :].reshape(-1, EACH_VIEW)
+        log_focal = float(row[FOCAL])
+        return tuple(
+            view.at(first, ahead, log_focal, change)
+            for view, change in zip(self.views, changes, strict=True)
+        )
 
     def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
         """Return the arrangement with updated support frames, and the motions of moving parts.

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -114,6 +115,28 @@ def read_camera_file(path: Path, photo: str = "") -> CameraFile:
             f"{path}: a camera is a .json, .yaml, .npy, .txt or .csv file, or a folder of COLMAP"
         )
     return camera_of_value(value, path, photo)
+
+
+def pose_of_value(
+    value: str | dict[str, object], photo: str
+) -> tuple[Float[np.ndarray, "4 4"], bool] | None:
+    """Return the pose that a camera's file or value states, and whether it is in meters.
+
+    Args:
+        value: path of the file, or the camera itself.
+        photo: name of the photograph.
+
+    Returns:
+        The transform from the camera's frame (OpenCV) to the frame in which the pose is stated;
+        None without a pose.
+    """
+    if isinstance(value, dict):
+        read = camera_of_value(value, Path("camera"), photo)
+    else:
+        read = read_camera_file(Path(value), photo)
+    if (matrix := read.camera.matrix()) is not None:
+        return matrix, True
+    return None if read.world is None else (np.array(read.world), False)
 
 
 def camera_of_value(value: object, path: Path, photo: str = "") -> CameraFile:

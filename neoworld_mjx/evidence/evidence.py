@@ -6,7 +6,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from .depth_image import DepthImage
+from .further_photo import FurtherPhoto
 from .known_camera import KnownCamera
+from .known_objects import KnownObjects
 from .lens import Lens
 from .masks import Masks
 
@@ -26,6 +28,10 @@ class Evidence:
     """Depth image of the photograph's view; used only with a photograph."""
     masks: Masks | None = None
     """Masks of the objects in the photograph."""
+    objects: KnownObjects = field(default_factory=KnownObjects)
+    """Assets in place of programs, known sizes, and objects that stay where they were placed."""
+    further: tuple[FurtherPhoto, ...] = ()
+    """Further photographs of the scene."""
     boxes: bool = True
     """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
     own. The tree is then not fitted to them."""

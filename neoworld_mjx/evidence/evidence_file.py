@@ -1,4 +1,4 @@
-"""Evidence as a user states it: one file that names a camera, a depth image and masks."""
+"""Evidence as a user states it: one file that names a camera, images, and known objects."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,16 +9,20 @@ from pydantic import Field, ValidationError
 from ..errors import EvidenceError
 from ..io.text_files import read_yaml, validation_message
 from ..spec import Spec
-from ..spec.base import Number, Vec3
+from ..spec.base import Name, Number, Vec3
 from .camera_files import camera_of_value, read_base, read_camera
 from .consistency import check_evidence
 from .depth_files import check_aspect, read_depth, registered
 from .depth_image import DepthImage, DepthKind
 from .evidence import Evidence, PhotoPixels
 from .file_camera import FileCamera, Rows, known_camera, photo_lens, rigid_problem
+from .known_objects import KnownObjects, KnownSize
 from .lens import pinhole_of, undistorted_image
 from .mask_files import read_masks
 from .masks import Masks
+
+MAX_VIEWS = 20
+"""Largest number of further photographs."""
 
 
 class StatedDepth(Spec):
@@ -48,6 +52,18 @@ class StatedMasks(Spec):
     """JSON file with the number of each object."""
 
 
+class StatedView(Spec):
+    """A further photograph in an evidence file."""
+
+    photo: str = Field(max_length=400)
+    camera: str | dict[str, object] | None = None
+    """Its camera, with a pose in the same frame as that of the first photograph if it is known; by
+    default, the file of the first photograph's camera, if it lists this photograph."""
+    boxes: dict[Name, tuple[Number, Number, Number, Number]] = Field(default_factory=dict)
+    """Left, top, right and bottom of the objects' 2D boxes [px], by name; without any, a model is
+    asked for them."""
+
+
 class StatedEvidence(Spec):
     """Contents of an evidence file. Paths are relative to the file."""
 
@@ -61,8 +77,22 @@ class StatedEvidence(Spec):
     """Height of the scene's plane z = 0 in the base frame [m]."""
     depth: str | StatedDepth | None = None
     masks: str | StatedMasks | None = None
+    views: tuple[StatedView, ...] = Field(default=(), max_length=MAX_VIEWS)
+    """Further photographs of the scene."""
+    objects: dict[Name, str] = Field(default_factory=dict)
+    """Files of assets that take the place of programs, by name of the object."""
+    sizes: dict[Name, KnownSize] = Field(default_factory=dict)
+    """Known sizes, by name of the object."""
+    keep: tuple[Name, ...] = ()
+    """Names of objects that stay where the parse, the annotation or the scene's file has them."""
     check: bool = True
     """False if a depth image is used although its edges are not those of the photograph."""
+
+    @property
+    def of_photo(self) -> bool:
+        """True if something is stated of a photograph, and not only of objects."""
+        names = ("camera", "base", "gravity", "ground", "depth", "masks")
+        return bool(self.views) or any(getattr(self, name) is not None for name in names)
 
     @property
     def files(self) -> list[str]:
@@ -75,13 +105,18 @@ class StatedEvidence(Spec):
             if isinstance(e, StatedDepth | StatedMasks)
             for name in named
         ]
-        return [value for value in (*entries, *inner) if isinstance(value, str)]
+        views = [value for view in self.views for value in (view.photo, view.camera)]
+        files = (*entries, *inner, *self.objects.values(), *views)
+        return [value for value in files if isinstance(value, str)]
 
     def overridden(self, other: "StatedEvidence") -> "StatedEvidence":
-        """Return a copy in which the stated values of another one take precedence."""
-        return self.model_copy(
-            update={name: getattr(other, name) for name in other.model_fields_set}
-        )
+        """Return a copy in which the stated values of another one take precedence.
+
+        Assets and further photographs of both are used.
+        """
+        update = {name: getattr(other, name) for name in other.model_fields_set}
+        both = {"objects": self.objects | other.objects, "views": (*self.views, *other.views)}
+        return self.model_copy(update=update | both)
 
 
 def read_stated(path: Path) -> StatedEvidence:
@@ -112,6 +147,13 @@ def _moved(stated: StatedEvidence, folder: Path) -> StatedEvidence:
             value = value.model_copy(update={"file": at(value.file), "names": at(value.names)})
         if name in stated.model_fields_set:
             update[name] = at(value)
+    if stated.views:
+        update["views"] = tuple(
+            view.model_copy(update={"photo": at(view.photo), "camera": at(view.camera)})
+            for view in stated.views
+        )
+    if stated.objects:
+        update["objects"] = {name: at(file) for name, file in stated.objects.items()}
     return stated.model_copy(update=update)
 
 
@@ -127,7 +169,8 @@ def evidence_of(
         size: width and height of the upright photograph [px].
 
     Returns:
-        The evidence, without the photograph. Its images are those of `lens`, if there is one.
+        The evidence, without the photograph and without assets. Its images are those of `lens`, if
+        there is one.
 
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
@@ -144,7 +187,8 @@ def evidence_of(
         given = StatedMasks(file=given) if isinstance(given, str) else given
         masks = read_masks(Path(given.file), None if given.names is None else Path(given.names))
         check_aspect(masks.labels.shape, size, masks.source)
-    evidence = Evidence(camera=known, depth=depth, masks=masks, lens=lens)
+    objects = KnownObjects(sizes=stated.sizes, keep=stated.keep)
+    evidence = Evidence(camera=known, depth=depth, masks=masks, lens=lens, objects=objects)
     check_evidence(evidence, rgb, edges=stated.check)
     return evidence
 

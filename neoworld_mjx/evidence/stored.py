@@ -115,7 +115,9 @@ def evidence_lines(evidence: Evidence) -> dict[str, str]:
     if (masks := evidence.masks) is not None:
         count = len(np.unique(masks.labels[masks.labels != 0]))
         lines["masks"] = f"{count} masks, {len(masks.names)} with names ({masks.source})"
-    return lines
+    if evidence.further:
+        lines["views"] = "; ".join(photo.phrase() for photo in evidence.further)
+    return lines | evidence.objects.lines()
 
 
 def camera_phrases(camera: KnownCamera) -> list[str]:

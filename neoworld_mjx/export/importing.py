@@ -23,6 +23,7 @@ from ..spec import (
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
 from .asset_files import named_packages, read_xml, set_packages
 from .gltf_file import GLTF
+from .load_mesh import SUFFIXES as MESHES
 from .mechanism import (
     Assembly,
     FileScene,
@@ -30,7 +31,7 @@ from .mechanism import (
     transformed,
 )
 from .object_of_mechanism import Imported, budget_of, to_object
-from .read_mesh_scene import POSES, MeshScene, read_gltf, read_mesh_scene
+from .read_mesh_scene import POSES, MeshScene, read_gltf, read_mesh, read_mesh_scene
 from .read_mjcf import read_mjcf, read_mjcf_scene
 from .read_urdf import read_urdf
 
@@ -79,8 +80,8 @@ class ImportedScene:
 def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
-    A glTF file (`read_gltf`) or a poses.json (`read_mesh_scene`) is always read as a scene. URIs
-    package://NAME/... may refer to the folders of `asset_files.set_packages`.
+    A glTF file (`read_gltf`), a mesh or a poses.json (`read_mesh_scene`) is always read as a scene.
+    URIs package://NAME/... may refer to the folders of `asset_files.set_packages`.
 
     Raises:
         SpecError: the format is not supported, or the file is broken or hostile, refers to a file
@@ -108,6 +109,8 @@ def _read(path: Path, packages: Mapping[str, Path]) -> MeshScene | FileScene:
         return read_gltf(path)
     if path.name == POSES:
         return read_mesh_scene(path)
+    if path.suffix.lower() in MESHES:
+        return read_mesh(path)
     if path.suffix.lower() in USD:
         raise SpecError(
             f"{path}: USD is written, not read; convert it to MJCF, URDF or glTF first (for "

@@ -33,6 +33,7 @@ from ..evidence.file_camera import (
 )
 from ..evidence.lens import Lens
 from ..io import read_model
+from ..io.names import identifier
 from ..quantities import count
 from ..spec import Camera, Spec
 from ..spec.base import Vec3
@@ -158,6 +159,20 @@ def read_mesh_scene(path: Path) -> MeshScene:
         camera = FileCamera(pose=rows_of(to_world)).completed_by(camera)
     objects = [_posed(path, name, item, to_world) for name, item in posed.objects.items()]
     return MeshScene(objects, camera, in_camera)
+
+
+def read_mesh(path: Path) -> MeshScene:
+    """Read a mesh file as one rigid object, in meters with Z up.
+
+    Raises:
+        SpecError: the file is not a mesh, or too large.
+    """
+    notes = ["read in meters, with z up and the front at +x"]
+    surfaces = load_surfaces(path, notes)
+    name = identifier(path.stem, "object")
+    assembly = mesh_object(name, surfaces, np.eye(4), groups=[0] * len(surfaces))
+    assembly.mechanism.notes += notes
+    return MeshScene([assembly])
 
 
 def mesh_object(

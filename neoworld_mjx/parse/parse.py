@@ -27,6 +27,7 @@ from ..estimate.projection import outline_of
 from ..estimate.tree_checks import SceneIssue, check_score, check_tree
 from ..evidence.depth_image import DepthImage
 from ..evidence.known_camera import KnownCamera, with_known_camera
+from ..evidence.known_objects import KnownObjects
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
@@ -240,6 +241,7 @@ async def parse(
     *,
     known: KnownCamera | None = None,
     depth: DepthImage | None = None,
+    objects: KnownObjects | None = None,
 ) -> Parsed:
     """Parse a photograph into a scene tree.
 
@@ -250,16 +252,17 @@ async def parse(
         known: what is known of the camera. Its values replace those of a response, whose objects
             keep their pixels.
         depth: a depth image of the photograph's view, which models are shown if it is metric.
+        objects: what is known of single objects, whose names the model is told.
 
     Raises:
         ModelError: the first request failed, or no response gave a tree.
     """
-    options = options or ParseOptions()
+    options, objects = options or ParseOptions(), objects or KnownObjects()
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
     measured = draw_measured(photo, known, depth)
-    response = (await models.ask(parse_request(photo, known, measured))).value
-    attempt = await fit_and_check(photo, response, options, known)
+    response = (await models.ask(parse_request(photo, known, measured, objects.names))).value
+    attempt = await fit_and_check(photo, response, options, known, objects)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
             # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
@@ -271,7 +274,9 @@ async def parse(
         attempts.append(attempt)
         if not remaining or not attempt.corrections:
             break
-        request = correction_request(photo, attempt.response, attempt.corrections, known, measured)
+        request = correction_request(
+            *(photo, attempt.response, attempt.corrections, known, measured, objects.names)
+        )
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:
             break
@@ -283,7 +288,7 @@ async def parse(
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await fit_and_check(photo, response, options, known, already_asked=asked)
+        attempt = await fit_and_check(photo, response, options, known, objects, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree, response_tree = attempts[best].tree, attempts[best].response_tree
     if tree is None or response_tree is None:
@@ -297,6 +302,7 @@ async def fit_and_check(
     response: ParsedScene,
     options: ParseOptions,
     known: KnownCamera | None,
+    objects: KnownObjects | None = None,
     *,
     already_asked: bool = False,
 ) -> SceneAttempt:
@@ -307,6 +313,7 @@ async def fit_and_check(
         response: the response.
         options: whether to fit.
         known: what is known of the camera.
+        objects: what is known of single objects, if anything is.
         already_asked: if True, the model was already asked about the camera.
     """
     try:
@@ -316,6 +323,8 @@ async def fit_and_check(
     issue = None
     if known is not None:
         response_tree = tree = with_known_camera(tree, known)
+    if objects is not None:
+        response_tree = tree = objects.applied(tree)
     if known is None or known.pitch is None or known.roll is None:
         issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
     if issue is not None:

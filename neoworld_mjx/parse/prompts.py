@@ -20,6 +20,10 @@ KNOWN_CAMERA = (
     "\n\nThe camera was measured: {values}. Give these numbers, call them measured, and find the "
     "others, the positions and the sizes that go with them."
 )
+KNOWN_OBJECTS = (
+    "\n\nThe user knows some of the objects: {names}. Give an object exactly this name if it is "
+    "the one that the name describes."
+)
 MEASURED_PICTURE = (
     "\n\nThe second picture is the same photograph with measurements drawn on it. Read numbers "
     "from it, and boxes and colors from the first."
@@ -92,7 +96,10 @@ class SceneCritique(BaseModel):
 
 
 def parse_request(
-    photo: Photo, known: KnownCamera | None = None, measured: MeasuredPicture | None = None
+    photo: Photo,
+    known: KnownCamera | None = None,
+    measured: MeasuredPicture | None = None,
+    names: Sequence[str] = (),
 ) -> Request[ParsedScene]:
     """Return the request for the scene in a photo.
 
@@ -100,25 +107,31 @@ def parse_request(
         photo: the photograph.
         known: what is known of the camera.
         measured: the photograph with measurements, if there are any.
+        names: names of the objects of which the user knows something.
     """
     return Request(
         role="reasoner",
         name="parse",
         system=package_text(__package__, "reasoner"),
-        prompt=_request_prompt(photo, known, measured),
+        prompt=_request_prompt(photo, known, measured, names),
         schema=ParsedScene,
         pictures=_pictures(photo, measured),
     )
 
 
 def _request_prompt(
-    photo: Photo, known: KnownCamera | None, measured: MeasuredPicture | None
+    photo: Photo,
+    known: KnownCamera | None,
+    measured: MeasuredPicture | None,
+    names: Sequence[str],
 ) -> str:
     width, height = photo.size
     prompt = REQUEST_PROMPT.format(width=width, height=height)
     values = [] if known is None else _known_values(known)
     if values:
         prompt += KNOWN_CAMERA.format(values=", ".join(values))
+    if names:
+        prompt += KNOWN_OBJECTS.format(names=", ".join(names))
     if measured is not None:
         prompt += MEASURED_PICTURE
         prompt += GROUND_GRID.format(step=100 * STEP_M) if measured.grid else ""
@@ -151,6 +164,7 @@ def correction_request(
     findings: Sequence[str],
     known: KnownCamera | None = None,
     measured: MeasuredPicture | None = None,
+    names: Sequence[str] = (),
 ) -> Request[SceneCorrection]:
     """Return the request for the correction of a response.
 
@@ -160,9 +174,10 @@ def correction_request(
         findings: faults of the response, each as one line.
         known: what is known of the camera.
         measured: the photograph with measurements, if there are any.
+        names: names of the objects of which the user knows something.
     """
     prompt = REPAIR_PROMPT.format(
-        ask=_request_prompt(photo, known, measured),
+        ask=_request_prompt(photo, known, measured, names),
         response=response.model_dump_json(indent=1),
         findings="\n".join(f"- {line}" for line in findings),
     )

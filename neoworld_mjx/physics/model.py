@@ -269,6 +269,7 @@ def compile_scene(
         arrangement=_at_composed_heights(arrange(scene, reach=reach)),
     )
     environment = np.array([item.environment for item in scene.objects])
+    optimised = ~environment & np.array([item.known != "pose" for item in scene.objects])
     points = np.stack([surface_samples(o, samples) for o in scene.objects])
     arrays = SceneArrays(
         arrangement=static.arrangement,
@@ -277,7 +278,8 @@ def compile_scene(
         round=static.round,
         colliders=collect_colliders(scene.objects),
         photo=photo_view(scene),
-        optimised=~environment,
+        optimised=optimised,
+        resized=optimised & np.array([item.known is None for item in scene.objects]),
         movable=static.movable,
         diagonal=np.array([diagonal(item) for item in scene.objects]),
         corners=static.corners,

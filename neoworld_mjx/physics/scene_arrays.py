@@ -40,7 +40,10 @@ class SceneArrays(eqx.Module):
     photo: PhotoView
     """Camera, boxes and depths of the photograph."""
     optimised: Bool[AnyArray, " object"]
-    """True for objects that the search moves: all but environment supports."""
+    """True for objects that the search moves: all but environment supports and objects whose pose
+    is known."""
+    resized: Bool[AnyArray, " object"]
+    """True for objects whose size the search changes."""
     movable: Bool[AnyArray, " object"]
     """True for objects whose base is free."""
     diagonal: Float[AnyArray, " object"]
@@ -140,6 +143,7 @@ def pad_scene(scene: SceneArrays) -> SceneArrays:
         ),
         photo=photo._replace(**by_object),
         optimised=pad_axis(scene.optimised, n),
+        resized=pad_axis(scene.resized, n),
         movable=pad_axis(scene.movable, n),
         diagonal=pad_axis(scene.diagonal, n, 1.0),
         corners=pad_axis(scene.corners, n),

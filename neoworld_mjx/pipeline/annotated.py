@@ -24,9 +24,10 @@ from .given_evidence import (
     evidence_of_run,
     keep_evidence,
     kept_inputs,
+    parse_inputs,
     undistorted_photo,
 )
-from .object_steps import program_inputs, write_object_files
+from .object_steps import program_inputs, write_asset, write_object_files
 from .reconstruction import finish, run_steps
 from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE
 
@@ -83,17 +84,21 @@ def write_annotated(
         known = evidence_of_run(picture, evidence, out if exists else None)
         picture = undistorted_photo(picture, known.evidence)
         annotation = _calibrated(annotation, known.evidence.camera)
-        tree = annotated_tree(annotation)
+        objects = known.evidence.objects
+        tree = objects.applied(annotated_tree(annotation))
+        objects.check_names(tree)
         by_name = {obj.name: obj for obj in annotation.objects}
         kept_files = {
             obj.name: _read_files(out / "objects" / obj.name)
             for obj in annotation.objects
-            if obj.kind == EXISTING_PROGRAM
+            if obj.kind == EXISTING_PROGRAM and obj.name not in objects.assets
         }
         colours, crop_by_name = support_colours(picture, tree), crops(picture, tree)
         texts: dict[str, Files] = {}
         for node in tree.nodes:
             obj = by_name.get(node.name)
+            if node.name in objects.assets:
+                continue
             if node.slab:
                 rgb = colours[node.name].rgb if node.name in colours else None
                 texts[node.name] = _build_files(node, support_program(node, rgb), "support", config)
@@ -107,7 +112,8 @@ def write_annotated(
         with RunFolder(out, config, "redo" if exists else "new", step="parse") as run:
             run.record("photo", name=photo.name, sha256=picture.sha256)
             keep_evidence(run, known)
-            inputs = {"photo": picture.sha256, "options": config.parse, **kept_inputs(run)}
+            inputs = {"photo": picture.sha256, "options": config.parse}
+            inputs |= parse_inputs(kept_inputs(run))
             with run.step("parse", inputs) as step:
                 assert step is not None
                 (step / TREE).write_text(tree.to_json(), encoding="utf-8")
@@ -119,9 +125,15 @@ def write_annotated(
                 image = draw_parse(picture, tree, draw_3d_boxes=True).data
                 (step / "pictures" / "parse.png").write_bytes(image)
                 (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
-            program = program_inputs(tree, crop_by_name, colours, config.program)
+            program = program_inputs(tree, crop_by_name, colours, config.program, objects.assets)
             _write_programs(run, texts, program)
-            left_to_model = [name for name, obj in by_name.items() if obj.kind == WRITTEN_BY_MODEL]
+            for name, spec in objects.assets.items():
+                write_asset(run, f"program/{name}", name, spec, program[name])
+            left_to_model = [
+                name
+                for name, obj in by_name.items()
+                if obj.kind == WRITTEN_BY_MODEL and name not in objects.assets
+            ]
             if simulate and not left_to_model:
                 run_steps(run, config, None, first="verify")
                 return finish(run, None)

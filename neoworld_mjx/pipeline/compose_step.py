@@ -1,7 +1,7 @@
 """Step 4 of a run: compose the scene of the built objects and align it with the photograph."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -91,7 +91,9 @@ def compose_scene(context: StepContext) -> None:
             if evidence.photo is not None and options.looks:
                 from ..estimate.looks import as_photographed
 
-                scene = as_photographed(scene, evidence.photo)
+                scene = _with_own_looks(
+                    as_photographed(scene, evidence.photo), scene, evidence.objects.assets
+                )
                 if base is not None:
                     scene = scene.model_copy(update={"backdrop": None})
             (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
@@ -215,8 +217,26 @@ def _write_alignment(
     if alignment.failure:
         reason = alignment.failure
         run.fallback("compose", "the scene is not aligned with the photograph", reason)
+    for number, further in enumerate(evidence.further, 1):
+        view = alignment.views.get(further.source)
+        if view is not None and view.reason:
+            reason = view.reason
+            run.fallback("compose", f"{further.source} is not used for the layout", reason)
+        elif view is not None:
+            shown = (s.model_copy(update={"camera": view.camera}) for s in (scene, aligned))
+            picture = to_png(outline_picture(further.photo, *shown))
+            (out / f"pictures/view_{number}.png").write_bytes(picture)
     for outcome, reason in alignment.notes(scene):
         run.note("compose", outcome, reason)
+
+
+def _with_own_looks(scene: SceneSpec, before: SceneSpec, assets: Collection[str]) -> SceneSpec:
+    """Return a scene in which known assets have the materials that they had before."""
+    objects = tuple(
+        old if item.name in assets else item
+        for item, old in zip(scene.objects, before.objects, strict=True)
+    )
+    return scene.model_copy(update={"objects": objects})
 
 
 def _record_notes(run: RunFolder, placed: "LayoutEstimate") -> None:

@@ -4,21 +4,31 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..errors import ConfigError, EvidenceError
+from ..errors import ConfigError, EvidenceError, SpecError
 from ..evidence.consistency import check_evidence
 from ..evidence.depth_files import check_aspect
 from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, evidence_of, read_stated, undistorted
 from ..evidence.exif import exif_camera
+from ..evidence.known_objects import KnownObjects
 from ..evidence.stored import evidence_digest, evidence_files, evidence_lines, read_stored
+from ..io import read_model
 from ..parse.photo import Photo, load_photo
 from ..run_folder import RunFolder
 from ..run_folder.staging import refuse_links
+from ..spec import ObjectSpec
+from .further_photos import VIEWS, keep_further, kept_further, read_further
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
 PART = "parse/evidence"
 """Part of the step `parse` that keeps the evidence."""
+KNOWN = "known.json"
+"""File of the known objects in a run."""
+OBJECTS_PART = "parse/known"
+"""Part of the step `parse` that keeps the known objects."""
+EXPECTED_UNIT = "Write the file in meters, or give the object's size under sizes in --evidence"
+"""Remedy for an asset of unusual size."""
 UNLIKE = 1.2
 """Ratio of focal lengths from which on EXIF data contradict a calibration."""
 Given = Evidence | StatedEvidence | Path | str
@@ -34,10 +44,17 @@ class RunEvidence:
     """Evidence that is not used, each with the reason."""
 
     @property
+    def of_photo(self) -> Evidence | None:
+        """Evidence about the photograph alone; None if there is none."""
+        e = self.evidence
+        nothing = e.camera is None and e.depth is None and e.masks is None
+        return None if nothing else replace(e, objects=KnownObjects(), further=())
+
+    @property
     def empty(self) -> bool:
         """True if nothing is known."""
-        e = self.evidence
-        return e.camera is None and e.depth is None and e.masks is None
+        others = self.evidence.objects.names or self.evidence.further
+        return self.of_photo is None and not others
 
 
 def read_evidence(file: Path | str, photo: Path | str) -> Evidence:
@@ -54,10 +71,41 @@ def read_evidence(file: Path | str, photo: Path | str) -> Evidence:
         EvidenceError: a file cannot be read, or contradicts the photograph.
         PhotoError: the photograph cannot be read.
     """
-    picture = load_photo(Path(photo))
-    return evidence_of(
-        read_stated(Path(file)), picture.path.name, picture.rgb, picture.original_size
-    )
+    return _read(read_stated(Path(file)), load_photo(Path(photo)))
+
+
+def _read(stated: StatedEvidence, photo: Photo) -> Evidence:
+    """Read the files of stated evidence, assets and photographs included; see `evidence_of`."""
+    evidence = evidence_of(stated, photo.path.name, photo.rgb, photo.original_size)
+    assets = {
+        name: read_asset(Path(file), any_unit=name in stated.sizes)
+        for name, file in stated.objects.items()
+    }
+    objects = evidence.objects.model_copy(update={"assets": assets})
+    further = read_further(stated, photo, evidence.lens)
+    return replace(evidence, objects=objects, further=further)
+
+
+def read_asset(file: Path, *, any_unit: bool = False) -> ObjectSpec:
+    """Read an object from a URDF, MJCF, glTF or mesh file.
+
+    Args:
+        file: the file.
+        any_unit: False if the file must be in meters.
+
+    Raises:
+        EvidenceError: the file cannot be read, contains no single object, or is in another unit.
+    """
+    from ..verify.checking import import_object
+    from .input_doubts import doubt_unit
+
+    try:
+        imported = import_object(file)
+        if not any_unit:
+            doubt_unit(replace(imported, fixed_base=False).scene, EXPECTED_UNIT)
+    except SpecError as error:
+        raise EvidenceError(f"objects: {error}") from None
+    return imported.spec
 
 
 def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = None) -> RunEvidence:
@@ -73,13 +121,14 @@ def evidence_of_run(photo: Photo, given: Given | None, folder: Path | None = Non
         RunError: the run's folder contains links.
     """
     # A folder that cannot be read is reported when it is opened.
-    if given is None and folder is not None and os.path.isdir(folder / FOLDER):
+    kept = () if folder is None else (folder / FOLDER, folder / KNOWN, folder / VIEWS)
+    if given is None and folder is not None and any(map(os.path.lexists, kept)):
         refuse_links(folder)
-        return RunEvidence(read_stored(folder / FOLDER))
+        return RunEvidence(_kept(folder))
     if isinstance(given, Path | str):
         given = read_stated(Path(given))
     if isinstance(given, StatedEvidence):
-        given = evidence_of(given, photo.path.name, photo.rgb, photo.original_size)
+        given = _read(given, photo)
     if not isinstance(given, Evidence | None):
         raise ConfigError(
             f"evidence must be an Evidence or the path of a file, got {type(given).__name__}"
@@ -137,29 +186,63 @@ def undistorted_photo(photo: Photo, evidence: Evidence) -> Photo:
 
 def keep_evidence(run: RunFolder, given: RunEvidence) -> None:
     """Write the evidence into the run folder, and record what is used and what is refused."""
-    run.record("evidence", used=evidence_lines(given.evidence), refused=list(given.refused))
-    if given.empty and not given.refused:
+    evidence = given.evidence
+    run.record("evidence", used=evidence_lines(evidence), refused=list(given.refused))
+    _keep_objects(run, evidence.objects)
+    keep_further(run, evidence.further)
+    if given.of_photo is None and not given.refused:
         return
-    inputs = {"files": evidence_digest(given.evidence), "refused": list(given.refused)}
+    inputs = {"files": evidence_digest(evidence), "refused": list(given.refused)}
     with run.step(PART, inputs) as out:
         if out is None:
             return
-        if not given.empty:
+        if given.of_photo is not None:
             (out / FOLDER).mkdir()
-            for name, data in evidence_files(given.evidence).items():
+            for name, data in evidence_files(evidence).items():
                 (out / FOLDER / name).write_bytes(data)
-        for kind, line in evidence_lines(given.evidence).items():
-            run.note(PART, f"known: {kind}", line)
+            for kind, line in evidence_lines(given.of_photo).items():
+                run.note(PART, f"known: {kind}", line)
         for reason in given.refused:
             run.note(PART, "evidence is not used", reason)
 
 
+def _keep_objects(run: RunFolder, objects: KnownObjects) -> None:
+    """Write what is known of single objects into the run folder."""
+    if not objects.names:
+        return
+    with run.step(OBJECTS_PART, {"objects": objects}) as out:
+        if out is None:
+            return
+        (out / KNOWN).write_text(objects.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        for kind, line in objects.lines().items():
+            run.note(OBJECTS_PART, f"known: {kind}", line)
+
+
 def kept_inputs(run: RunFolder) -> dict[str, object]:
     """Return the inputs of the steps that use the evidence in a run folder; empty without any."""
-    folder = run.path / FOLDER
-    return {FOLDER: folder} if folder.is_dir() else {}
+    paths = {FOLDER: run.path / FOLDER, "known": run.path / KNOWN, VIEWS: run.path / VIEWS}
+    return {name: path for name, path in paths.items() if path.exists()}
+
+
+def parse_inputs(inputs: dict[str, object]) -> dict[str, object]:
+    """Return the inputs of Step 1 among those of `kept_inputs`.
+
+    What is known of single objects, and further photographs, are not among them: a name that the
+    user reads in the parse must not ask for another one.
+    """
+    return {name: value for name, value in inputs.items() if name == FOLDER}
 
 
 def kept_evidence(run: RunFolder) -> Evidence:
     """Return the evidence in a run folder, undistorted like the run's photograph."""
-    return undistorted(read_stored(run.path / FOLDER))
+    return replace(undistorted(_kept(run.path)), further=kept_further(run.path, marked=True))
+
+
+def _kept(folder: Path) -> Evidence:
+    """Return the evidence in a run folder, in the pixels of the photograph as it was taken."""
+    evidence = replace(read_stored(folder / FOLDER), further=kept_further(folder))
+    file = folder / KNOWN
+    if not file.is_file():
+        return evidence
+    objects = read_model(file, KnownObjects, EvidenceError, "known objects")
+    return replace(evidence, objects=objects)

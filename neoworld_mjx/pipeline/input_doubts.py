@@ -47,8 +47,13 @@ def scaled_scene(imported: ImportedScene, s: float) -> ImportedScene:
     return replace(imported, spec=spec, camera=camera)
 
 
-def doubt_unit(scene: SceneSpec) -> None:
-    """Raise a SpecError if the sizes of the free objects suggest another unit than meters."""
+def doubt_unit(scene: SceneSpec, remedy: str = "") -> None:
+    """Raise a SpecError if the sizes of the free objects suggest another unit than meters.
+
+    Args:
+        scene: the scene.
+        remedy: what the user can do; by default, the flag --scale of rescues.
+    """
     edges = {
         item.name: float(np.ptp(bounds(item.spec, item.joint_state), axis=0).max())
         for item in scene.objects
@@ -60,10 +65,9 @@ def doubt_unit(scene: SceneSpec) -> None:
     sizes = ", ".join(f"{name} {edge:.3g} m" for name, edge in list(edges.items())[:3])
     fitting = [u for u, s in UNITS.items() if USUAL_M[0] * 5 < median * s < USUAL_M[1]]
     unit = fitting[0] if fitting else ("millimeters" if median > 1 else "kilometers")
-    raise SpecError(
-        f"scene {scene.name} has unusual sizes ({sizes}): is it in {unit}? If so, add "
-        f"--scale {UNITS[unit]:g}; if the sizes are right, add --scale 1"
-    )
+    if not remedy:
+        remedy = f"If so, add --scale {UNITS[unit]:g}; if the sizes are right, add --scale 1"
+    raise SpecError(f"{scene.name} has unusual sizes ({sizes}): is it in {unit}? {remedy}")
 
 
 def doubt_solids(scene: SceneSpec) -> None:

@@ -1,9 +1,10 @@
 """Steps 1 to 3 of a run: parse the photograph, program the objects, verify them."""
 
 import asyncio
+import json
 from collections.abc import Coroutine, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..compose.resting_pose import on_level, pose_without_scene
 from ..config import ProgramOptions
@@ -30,25 +31,47 @@ from .step_context import (
     read_tree,
 )
 
+if TYPE_CHECKING:
+    from ..evidence.evidence import Evidence
+
 
 def parse_photo(context: StepContext) -> None:
     """Step 1: write tree.json, parse.json, photo.png and pictures/parse.png.
 
+    If there are further photographs, a model then marks the objects in them (views/boxes.json).
+
     The tree of the model's response, before its fit, is kept as history/response/tree.json.
     """
+    from .further_photos import mark_objects
+    from .given_evidence import kept_evidence, parse_inputs
+
+    run, options = context.run, context.config.parse
+    photo, known = context.photo_and_models()[0], kept_evidence(run)
+    inputs = {"photo": photo.sha256, "options": options, **parse_inputs(context.evidence)}
+    if not run.finished("parse", inputs):
+        _parse(context, inputs, known)
+    if known.further:
+        mark_objects(context, read_tree(run, before="program"))
+
+
+def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -> None:
+    """Ask for the scene in the photograph, and write the files of the step."""
     from ..evidence.consistency import check_distances
     from ..parse.parse import parse
     from ..render import to_png
-    from .given_evidence import kept_evidence
 
     run, options = context.run, context.config.parse
     photo, models = context.photo_and_models()
-    inputs = {"photo": photo.sha256, "options": options, **context.evidence}
     with run.step("parse", inputs) as out:
-        if out is None:
-            return
-        known = kept_evidence(run)
-        parsed = run_coroutine(parse(photo, models, options, known=known.camera, depth=known.depth))
+        assert out is not None
+        parsed = run_coroutine(
+            parse(
+                *(photo, models, options),
+                known=known.camera,
+                depth=known.depth,
+                objects=known.objects,
+            )
+        )
         if known.depth is not None:
             check_distances(known.depth, parsed.response_tree)
         (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
@@ -67,20 +90,28 @@ def parse_photo(context: StepContext) -> None:
 def program_objects(context: StepContext) -> None:
     """Step 2: write program.py, spec.json and program.json of all objects, in parallel.
 
+    A known asset is written as spec.json, without a program.
+
     If programs are written in three stages, the parts of program.py are also written, as
     geometry.py, articulation.py and export.py. If models corrected measured boxes, tree.json is
     written again with the corrected sizes.
     """
+    from .given_evidence import kept_evidence
+
     run, options = context.run, context.config.program
     photo, models = context.photo_and_models()
-    tree = read_tree(run, before="program")
+    tree, known = read_tree(run, before="program"), kept_evidence(run).objects
+    known.check_names(tree)
     crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
     run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
-    inputs = program_inputs(tree, crop_by_name, colours, options)
+    inputs = program_inputs(tree, crop_by_name, colours, options, known.assets)
 
     async def program_one(node: TreeNode) -> None:
         name, colour = f"program/{node.name}", colours.get(node.name)
         if run.finished(name, inputs[node.name]):
+            return
+        if node.name in known.assets:
+            write_asset(run, name, node.name, known.assets[node.name], inputs[node.name])
             return
         run.begin(name)
         result = await synthesise(
@@ -117,10 +148,16 @@ def program_inputs(
     crops: Mapping[str, Crop],
     colours: Mapping[str, SupportColour],
     options: ProgramOptions,
+    assets: Mapping[str, ObjectSpec],
 ) -> dict[str, dict[str, object]]:
-    """Return everything that determines the program of each object, by the object's name."""
+    """Return everything that determines the program of each object, by the object's name.
+
+    An asset takes the place of a program.
+    """
     return {
-        node.name: {
+        node.name: {"asset": assets[node.name]}
+        if node.name in assets
+        else {
             "node": node.model_dump(mode="json"),
             "crop": crops[node.name].picture.pixels,
             "options": options.model_dump(mode="json"),
@@ -129,6 +166,18 @@ def program_inputs(
         }
         for node in tree.nodes
     }
+
+
+def write_asset(
+    run: RunFolder, step: str, name: str, spec: ObjectSpec, inputs: Mapping[str, object]
+) -> None:
+    """Write the files of an object whose asset is known; it has no program."""
+    with run.step(step, inputs) as out:
+        if out is None:
+            return
+        rounds = json.dumps({"signals": [], "allowances": [], "rounds": []}, indent=1) + "\n"
+        write_object_files(out, name, {SPEC: spec.to_json(), ROUNDS: rounds})
+        run.note(step, f"{name} is the given asset", "no model wrote a program for it")
 
 
 def write_object_files(out: Path, name: str, files: Mapping[str, str]) -> None:
@@ -159,16 +208,23 @@ def _correct_sizes(run: RunFolder, tree: SceneTree) -> None:
 def verify_objects(context: StepContext) -> None:
     """Step 3: write each object's verify.json, and its changed files if it was changed.
 
+    Known assets are tested, and not changed.
+
     These are spec.json, program.patch.json, which Step 3 applied to the object, and, if the critic
     asked for another program, program.py and program.json. Objects are simulated one after another,
     but their requests to models run concurrently.
     """
-    run, options = context.run, context.config.verify
-    tree = read_tree(run, before="verify")
+    from .given_evidence import kept_evidence
+
+    run = context.run
+    unchanged = context.config.verify.model_copy(update={"rounds": 0, "critic": "never"})
+    tree, assets = read_tree(run, before="verify"), kept_evidence(run).objects.assets
     crop_by_name = {} if context.photo is None else crops(context.photo, tree)
 
     async def verify_one(node: TreeNode) -> None:
         name, level = f"verify/{node.name}", on_level(node, tree)
+        known = node.name in assets
+        options = unchanged if known else context.config.verify
         spec_file, rounds_file, program_file = (
             run.before("verify", object_file(node.name, file)) for file in (SPEC, ROUNDS, PROGRAM)
         )
@@ -190,7 +246,8 @@ def verify_objects(context: StepContext) -> None:
         spec = read_spec(spec_file) if built is None or built.spec is None else built.spec
         tilt, fixed_base = pose_without_scene(node, spec, level=level)
         source, crop = None, crop_by_name.get(node.name)
-        if crop is not None and not node.slab and program_file.is_file() and not edited:
+        kept = node.slab or known or edited
+        if crop is not None and program_file.is_file() and not kept:
             text = program_file.read_text(encoding="utf-8")
             source = ProgramSource(node, crop, text, context.config.program, tree.camera)
         result = await verify_object(

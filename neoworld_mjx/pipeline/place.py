@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from ..compose.compose import Composed, compose
+from ..compose.layout_patch import apply_layout, kept_layout
 from ..compose.on_supports import put_down
 from ..compose.resting_pose import with_aligned_joints_held
 from ..config import AlignOptions, ComposeOptions, RefineOptions
@@ -91,11 +92,12 @@ def place(
         for node in tree.nodes
         if node.name in evidence.sizes and node.name in objects
     }
-    tree, fit = _with_known_sizes(tree, known_sizes), None
+    tree, fit = evidence.objects.applied(_with_known_sizes(tree, known_sizes), objects), None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
         tree, fit = refit_tree(tree, objects, visible, known=known)
-        tree = tree.with_sizes(known_sizes)  # The fit changes known sizes by about 1 %.
+        # The fit changes known sizes by about 1 %.
+        tree = evidence.objects.applied(tree.with_sizes(known_sizes), objects)
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -123,7 +125,7 @@ def place(
     aligned, notes = alignment.scene, ()
     if options.hold_joints:
         aligned, notes = with_aligned_joints_held(aligned)
-    scene = put_down(aligned, options.gap_m)
+    scene = _with_kept(put_down(aligned, options.gap_m), tree, evidence, options)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
 
@@ -155,12 +157,24 @@ def _composed(
 ) -> Composed:
     """Compose the scene with some objects changed; drop boxes and a camera that are no evidence."""
     composed = compose(tree, {**objects, **changed}, options, name=name)
+    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence, options))
+    composed = dataclasses.replace(composed, scene=scene)
     if evidence.boxes:
         return composed
     bare = tuple(item.model_copy(update={"box2d": None}) for item in composed.scene.objects)
     camera = None if evidence.photo is None else tree.camera
     scene = composed.scene.model_copy(update={"objects": bare, "camera": camera})
     return dataclasses.replace(composed, scene=scene)
+
+
+def _with_kept(
+    scene: SceneSpec, tree: SceneTree, evidence: Evidence, options: ComposeOptions
+) -> SceneSpec:
+    """Return the scene with the objects that the user placed where the tree has them."""
+    keep = evidence.objects.keep
+    if not keep:
+        return scene
+    return apply_layout(scene, kept_layout(scene, tree, keep), options.gap_m)[0]
 
 
 @dataclass(frozen=True)

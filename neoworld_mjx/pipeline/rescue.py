@@ -12,11 +12,12 @@ from jaxtyping import UInt8
 
 from ..config import Config
 from ..engines import EngineChoice
-from ..errors import PhotoError, RunError
+from ..errors import EvidenceError, PhotoError, RunError
 from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, evidence_of, stated_camera, undistorted
 from ..evidence.file_camera import FileCamera
 from ..evidence.known_camera import KnownCamera
+from ..evidence.known_objects import KnownObjects
 from ..export.importing import ImportedScene, import_file
 from ..export.read_mesh_scene import CAMERA_HELP, Viewpoint, viewpoint
 from ..io import bounded_by
@@ -125,9 +126,10 @@ def rescue_file(
         out: run folder, new or empty.
         config: options.
         photo: the photograph of the scene, with which its objects are aligned.
-        evidence: evidence about the photograph. Without a camera, that of the scene's file is used.
-            If `base` is stated, the result is in the world of the scene's file, which is the base
-            frame; otherwise, the camera is above the origin.
+        evidence: evidence about the photograph, and known sizes and places of objects. Without a
+            camera, that of the scene's file is used. If `base` is stated, the result is in the
+            world of the scene's file, which is the base frame; otherwise, the camera is above the
+            origin.
         scale: factor of all lengths in the scene's file, such as 0.01 for centimeters; if None, the
             file is in meters, and unusual sizes are refused.
 
@@ -141,8 +143,10 @@ def rescue_file(
     c = config or Config()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RunError(f"{out} is not empty; name a new folder")
-    if evidence is not None and photo is None:
+    if evidence is not None and evidence.of_photo and photo is None:
         raise PhotoError("this evidence is about a photograph: give it by --photo")
+    if evidence is not None and evidence.objects:
+        raise EvidenceError("objects: the objects are those of the scene's file; edit it")
     with bounded_by(c.files):
         imported = import_file(file)
         if not isinstance(imported, ImportedScene):
@@ -152,13 +156,15 @@ def rescue_file(
         else:
             imported = scaled_scene(imported, scale)
         doubt_solids(imported.spec)
-        picture, known, camera = None, Evidence(), None
+        picture, camera = None, None
+        given = evidence or StatedEvidence()
+        known = Evidence(objects=KnownObjects(sizes=given.sizes, keep=given.keep))
         if photo is not None:
-            given = evidence or StatedEvidence()
             camera, _ = stated_camera(given, photo.name)
             picture = photographed(photo, imported.camera, camera, c.parse.max_side_px)
             known = _known(given, photo, picture, c.parse.max_side_px)
         meshes, c = _meshes(imported, picture), _config(c, picture)
+        known.objects.check_names(meshes.tree)
         notes = [*imported.notes, *meshes.notes]
         if picture is not None and camera is None:
             notes.append(f"the camera of the photograph is taken from {file.name}")

@@ -32,9 +32,10 @@ from ..names import STEPS
 LOCK, STAGING = ".lock", ".staging"
 _OBJECT = r"objects/\w+"
 _FILES: dict[str, str] = {
-    "parse": r"(tree|parse|annotation|given)\.json|photo\.png|pictures/parse\.png"
+    "parse": r"(tree|parse|annotation|given|known)\.json|photo\.png|pictures/parse\.png"
     rf"|history/response/tree\.json|{_OBJECT}/spec\.json"
-    r"|evidence/(evidence\.json|depth\.npy|confidence\.npy|masks\.png)",
+    r"|evidence/(evidence\.json|depth\.npy|confidence\.npy|masks\.png)"
+    r"|views/(views\.json|boxes\.json|\d+\.png)",
     "program": rf"tree\.json|{_OBJECT}/(spec\.json|program\.json|\w+\.py)",
     "verify": rf"{_OBJECT}/(spec|program|verify|program\.patch)\.json|{_OBJECT}/program\.py",
     "compose": rf"tree\.json|compose/\w+\.json|pictures/\w+\.png"

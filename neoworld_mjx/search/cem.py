@@ -128,8 +128,8 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
     """Return the initial standard deviations, with a population axis of length 1 (Appendix B).
 
     `sigma_xy` is a fraction of each object's horizontal bounding-box diagonal. The standard
-    deviations of environment supports are zero. Objects attached to an upright plate, such as a
-    wall, move only along the plate and do not turn.
+    deviations of environment supports, and of known poses and sizes, are zero. Objects attached to
+    an upright plate, such as a wall, move only along the plate and do not turn.
     """
     moves = np.asarray(scene.optimised).astype(np.float32)
     xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
@@ -137,7 +137,7 @@ def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
     sigma = Layout(
         (xy[:, None] * ~fixed)[None],
         (np.radians(options.sigma_yaw_deg) * moves * ~fixed.any(axis=1))[None],
-        (options.sigma_log_scale * moves)[None],
+        (options.sigma_log_scale * np.asarray(scene.resized).astype(np.float32))[None],
     )
     return on_device(sigma)
 

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -88,6 +88,11 @@ class SceneObject(Spec):
     """Object size divided by parsed size, minus 1, per axis, after isotropic rescaling."""
     uncertainty: PoseUncertainty | None = None
     """Uncertainty that remains after alignment with the photograph; None if not aligned."""
+    known: Literal["size", "pose"] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """What the user knows of the object, and no stage changes: its size, or its size and its pose
+    on its support."""
 
     @property
     def static(self) -> bool:

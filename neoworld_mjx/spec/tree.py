@@ -118,6 +118,8 @@ class Cues(Spec):
     """Standard deviation of the size, relative to the size."""
     yaw_sd: Spread | None = None
     """Standard deviation of the yaw [rad]."""
+    kept: bool = Field(default=False, exclude_if=lambda value: not value)
+    """True if the user placed the object, whose box no stage changes."""
 
 
 class TreeNode(Spec):

@@ -1,14 +1,18 @@
 """Evidence made from the ground truth: its errors, and errors in the camera's frame."""
 
+import math
+
 import numpy as np
 import pytest
 from neoworld_bench.methods.layout_errors import camera_errors
 from neoworld_bench.noise.known_evidence import (
     AFFINE,
+    BESIDE,
     EXIF_SD,
     HOLES,
     check_evidence,
     known_evidence,
+    second_camera,
 )
 from scipy.ndimage import binary_dilation
 
@@ -93,11 +97,28 @@ def test_masks_are_of_the_objects_alone(drawn):
     assert not masks.labels[drawn.owner == 0].any()
 
 
+def test_a_second_photograph_is_taken_aside_and_marked_with_noise():
+    second, stereo = given("second").further[0], given("stereo").further[0]
+    assert second.to_first is None and second.boxes == stereo.boxes
+    assert set(second.boxes) == {"box", "can", "brick", "ball", "tower"}
+    camera = second_camera(desk.five(), desk.CAMERA)
+    to_first = stereo.to_first
+    position = desk.CAMERA.position() + desk.CAMERA.axes() @ to_first[:3, 3]
+    assert np.allclose(position, camera.position())
+    assert math.acos((np.trace(to_first[:3, :3]) - 1) / 2) == pytest.approx(BESIDE)
+    owner = draw_scene(desk.five(), camera, camera.width).owner
+    rows, columns = np.nonzero(owner == 2)
+    exact = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    off = np.abs(np.array(second.boxes["can"].as_tuple()) - exact)
+    assert 0 < off.max() < 10 and second.photo.shape[1] == camera.width
+
+
 @pytest.mark.parametrize(
     ("kinds", "message"),
     [
         (("fov", "exif"), "fov and exif, at most one"),
         (("depth", "masks", "disparity"), "depth and disparity, at most one"),
+        (("second", "stereo"), "second and stereo, at most one"),
         (("dept",), "got 'dept'"),
     ],
 )

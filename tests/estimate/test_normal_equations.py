@@ -32,7 +32,8 @@ class Linearized:
         self.drawn = draw_objects(meshes, self.now.camera, WIDTH)
 
     def box(self, k):
-        return box_evidence(self.unknowns, self.now, self.neighbors, self.drawn, k)
+        box = self.unknowns.scene.objects[k].box2d
+        return box_evidence(self.unknowns, self.now, self.neighbors, self.drawn, k, box)
 
     def contour(self, k, image):
         args = self.unknowns, self.now, self.neighbors, self.drawn, image, k

@@ -127,7 +127,7 @@ def noisy_response(truth: SceneTree, number: int) -> SceneTree:
         else node.model_copy(
             update={
                 "box3d": _disturbed_box(node, right, camera, rng, by_pixel=number % 2 == 0),
-                "box2d": _disturbed_box2d(node.box2d, right, rng),
+                "box2d": disturbed_box2d(node.box2d, right, rng),
                 "occluded_by": tuple(o for o in node.occluded_by if rng.uniform() > UNNAMED),
             }
         )
@@ -200,8 +200,8 @@ def _disturbed_box(
     )
 
 
-def _disturbed_box2d(box: Box2D, camera: Camera, rng: np.random.Generator) -> Box2D:
-    """Disturb sides; those at the image border stay there."""
+def disturbed_box2d(box: Box2D, camera: Camera, rng: np.random.Generator) -> Box2D:
+    """Return a 2D box with the noise of a response; sides at the image border stay there."""
     size = np.array([camera.width, camera.height_px])
     frame = np.array([0, 0, *size])
     sides = np.array(box.as_tuple())

@@ -13,13 +13,18 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.estimate.further_views import posed
 from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.depth_image import MONOCULAR, DepthImage, sensor_sd
 from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.further_photo import FurtherPhoto
 from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.evidence.masks import Masks
-from neoworld_mjx.spec import Camera, SceneSpec
+from neoworld_mjx.spec import Box2D, Camera, SceneSpec, world_poses
+from neoworld_mjx.spec.pose import from_yaw, matrix
 
+from ..fidelity.rendered_responses import disturbed_box2d
+from ..fidelity.rendered_scenes import photograph
 from ..suites import EvidenceName
 
 KINDS: tuple[str, ...] = get_args(EvidenceName)
@@ -31,8 +36,10 @@ KINDS: tuple[str, ...] = get_args(EvidenceName)
 - depth: depth of a sensor in meters.
 - affine, disparity: depth and 1/depth of a network, with unknown scale and shift.
 - masks: masks of all objects but supports.
+- second: a second photograph from BESIDE aside, with 2D boxes as of a response.
+- stereo: the same with the pose relative to the first camera, calibrated.
 """
-ALTERNATIVES = (("fov", "exif"), ("depth", "affine", "disparity"))
+ALTERNATIVES = (("fov", "exif"), ("depth", "affine", "disparity"), ("second", "stereo"))
 """Kinds of which at most one is given."""
 EXIF_SD = 0.03
 """Standard deviation of the logarithm of the focal length in EXIF data."""
@@ -46,6 +53,10 @@ SMOOTH = 1 / 8
 """Correlation length of the smooth errors, relative to the width of the image."""
 AFFINE, DISPARITY = (0.37, -0.11), (3.0, 0.2)
 """Scale and shift by which a network's values follow from depth [m] and 1/depth [1/m]."""
+BESIDE = math.radians(40.0)
+"""Angle about the vertical through the scene's middle from the first to the second camera [rad]."""
+LEAST_SEEN_PX = 12
+"""Number of visible pixels from which on a second photograph shows an object."""
 WIDTH_PX = 640
 """Width of depth images and masks [px]."""
 
@@ -94,7 +105,39 @@ def known_evidence(
         z = _network_depth(truth, camera, rng["disparity"])
         depth = DepthImage(scale / z + shift, "disparity", smooth_sd=MONOCULAR)
     known = _known_camera(kinds, camera, rng["exif"])
-    return Evidence(photo, known, depth, _masks(truth, camera) if "masks" in kinds else None)
+    further = ()
+    if "second" in kinds or "stereo" in kinds:
+        # Both kinds have the same boxes.
+        further = (_second_photo(truth, camera, rng["second"], with_pose="stereo" in kinds),)
+    masks = _masks(truth, camera) if "masks" in kinds else None
+    return Evidence(photo, known, depth, masks, further=further)
+
+
+def second_camera(truth: SceneSpec, camera: Camera) -> Camera:
+    """Return the camera that is BESIDE aside, and looks at the scene as the first one does."""
+    poses = world_poses(truth)
+    middle = np.median([poses[o.name].pos for o in truth.objects if not o.static], axis=0)
+    turn = matrix(from_yaw(BESIDE))
+    return posed(camera, turn @ camera.axes(), middle + turn @ (camera.position() - middle))
+
+
+def _second_photo(
+    truth: SceneSpec, first: Camera, rng: np.random.Generator, *, with_pose: bool
+) -> FurtherPhoto:
+    camera = second_camera(truth, first)
+    owner = draw_scene(truth, camera, camera.width).owner
+    boxes = {}
+    for k, item in enumerate(truth.objects):
+        rows, columns = np.nonzero(owner == k)
+        if not item.environment and len(rows) >= LEAST_SEEN_PX:
+            low, high = (columns.min(), rows.min()), (columns.max() + 1, rows.max() + 1)
+            exact = Box2D(x0=float(low[0]), y0=float(low[1]), x1=float(high[0]), y1=float(high[1]))
+            boxes[item.name] = disturbed_box2d(exact, camera, rng)
+    relative = np.eye(4)
+    relative[:3, :3] = first.axes().T @ camera.axes()
+    relative[:3, 3] = first.axes().T @ (camera.position() - first.position())
+    taken = photograph(truth.model_copy(update={"camera": camera}))
+    return FurtherPhoto(taken, boxes, to_first=relative if with_pose else None, source="second.png")
 
 
 def _known_camera(

@@ -37,6 +37,10 @@ _DEPTH = (
     "Rendered minus measured distance along each pixel's ray: red where the aligned scene is "
     "farther than the depth image, blue where it is nearer, gray where nothing is measured"
 )
+_VIEW = (
+    "Outlines in a further photograph, from its aligned camera: of the composed scene, orange, and "
+    "of the aligned scene, green"
+)
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
     '"Known to" states standard deviations. "Heading not seen" means that the photograph gives no '
@@ -68,6 +72,7 @@ def photograph_section(folder: Path) -> Markup:
             picture(folder / "pictures" / "outlines.png", _CAPTION),
             picture(folder / "pictures" / "evidence.png", _EVIDENCE) if outlines else "",
             picture(depth_png, _DEPTH) if depth_png.is_file() else "",
+            *(picture(file, _VIEW) for file in sorted((folder / "pictures").glob("view_*.png"))),
         ),
         elements.paragraph(_camera(aligned)),
         *_camera_sources(aligned),
