@@ -216,7 +216,7 @@ def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[s
     parent = placed[obj.parent]
     if obj.relation == "on" and (parent.environment or not has_same_footprint(parent, obj)):
         return obj
-    position = position_inside(parent, obj, _neighbors(obj, placed))
+    position = position_inside(parent, obj, _neighbors(obj, placed), if_raised=True)
     if position is None:
         return obj
     shift = float(np.hypot(*np.subtract(position, obj.xy)))

@@ -56,7 +56,11 @@ FOOTPRINT_TOLERANCE = 0.12
 
 
 def position_inside(
-    parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
+    parent: SceneObject,
+    obj: SceneObject,
+    others: Iterable[SceneObject] = (),
+    *,
+    if_raised: bool = False,
 ) -> Float[np.ndarray, " 2"] | None:
     """Return the nearest position at which an object stands inside its container.
 
@@ -64,10 +68,12 @@ def position_inside(
         parent: the container.
         obj: an object in the container, or a lid on it; assumed to be upright.
         others: objects already in the container, which the result avoids.
+        if_raised: if True, an object moves only if snapping at its parsed position would raise it,
+            such as onto the rim.
 
     Returns:
         The position [m] in the frame of `SceneObject.xy`; None if the object is not lower at any
-        other position.
+        other position, or need not move.
     """
     root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**root, "z": 0.0, "yaw": 0.0})
@@ -88,7 +94,8 @@ def position_inside(
     )
     for other in others:
         gains[np.linalg.norm(positions - other.xy, axis=1) < _min_separation(obj, other)] = -np.inf
-    if gains.max() < max(MIN_DROP * float(top[2] - bottom[2]), MIN_DROP_M):
+    least = max(MIN_DROP * float(top[2] - bottom[2]), MIN_DROP_M)
+    if gains.max() < least or (if_raised and parsed_height - obj.z < least):
         return None
     inside = gains > INSIDE_FRACTION * gains.max()
     nearest = positions[inside][np.linalg.norm(positions[inside] - parsed_xy, axis=1).argmin()]
