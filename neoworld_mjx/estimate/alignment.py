@@ -292,8 +292,6 @@ LOG_PART_STRETCH = 0.06
 length changes the image as a change of its angle does."""
 FIXED_YAW = 1e-4
 """Standard deviation of the heading of an object that is round or attached to a wall [rad]."""
-FIXED_SIZE = 1e-5
-"""Standard deviation of the log scale of an object whose size a person stated."""
 SUPPORTED = 0.15
 """Standard deviation of the position of an object on a movable support, relative to the shorter
 horizontal side of the support."""
@@ -358,7 +356,6 @@ def prior_precision(
     now: Placement,
     x: Float[np.ndarray, " u"],
     deviations: Float[np.ndarray, " 4"],
-    sizes: Collection[str] = (),
 ) -> Float[np.ndarray, "v v"]:
     """Return the prior's precision matrix over the unknowns and all stretches.
 
@@ -370,7 +367,6 @@ def prior_precision(
         now: the placement at `x`.
         x: values of the unknowns, relative to the prior's mean.
         deviations: standard deviations of the camera's unknowns.
-        sizes: names of the objects whose size a person stated.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
@@ -397,8 +393,7 @@ def prior_precision(
         off = whitening @ entries[:2]
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
-        size = FIXED_SIZE if unknowns.scene.objects[k].name in sizes else LOG_SIZE
-        for column, deviation in ((2, yaw), (3, size)):
+        for column, deviation in ((2, yaw), (3, LOG_SIZE)):
             # A depth image shows how large an object is, so no size is far from its start.
             tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
             spread = deviation**2 + tail**2 / FREEDOM

@@ -222,7 +222,6 @@ class AlignmentProblem:
                 now,
                 x if self.mean is None else x - self.mean,
                 self.camera_deviations(),
-                self.evidence.sizes,
             ),
             x,
             mean=self.mean,

@@ -35,8 +35,6 @@ class Evidence:
     boxes: bool = True
     """False if the 2D boxes of the tree are projections of its 3D boxes, and no evidence of their
     own. The tree is then not fitted to them."""
-    sizes: frozenset[str] = frozenset()
-    """Names of the objects whose size a person stated: they keep the size of their program."""
     lens: Lens | None = None
     """Lens that took photograph, depth image and masks, if they are not undistorted yet; `camera`
     describes the undistorted image."""

@@ -59,18 +59,21 @@ def compose_scene(context: StepContext) -> None:
     options = config.compose
     tree = read_tree(run, before="compose")
     specs = {node.name: run.before("compose", object_file(node.name, SPEC)) for node in tree.nodes}
-    edited, sizes = tree_edited(run), edited_objects(run, tree)
+    edited, by_hand = tree_edited(run), edited_objects(run, tree)
     refits = options.refit and config.parse.fit
     if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
         # Start from the unfitted tree: the first fit has already used the same boxes.
         tree = _unfitted(run, tree)
     patch = read_layout_patch(run.path)
-    inputs = _inputs(context, tree, specs, patch, sizes, refits=refits)
+    inputs = _inputs(context, tree, specs, patch, by_hand, refits=refits)
     with run.step("compose", inputs) as out:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            evidence = _evidence(run, tree, sizes)
+            kept = _evidence(run, tree)
+            # Objects whose programs a person edited keep their sizes, as given assets do.
+            assets = kept.objects.assets | {name: objects[name] for name in by_hand}
+            evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
             programs = None
             if options.align.enabled and options.align.dimensions:
                 programs = editable_programs(run, tree, objects, config)
@@ -92,7 +95,7 @@ def compose_scene(context: StepContext) -> None:
                 from ..estimate.looks import as_photographed
 
                 scene = _with_own_looks(
-                    as_photographed(scene, evidence.photo), scene, evidence.objects.assets
+                    as_photographed(scene, evidence.photo), scene, kept.objects.assets
                 )
                 if base is not None:
                     scene = scene.model_copy(update={"backdrop": None})
@@ -106,7 +109,7 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def _evidence(run: RunFolder, tree: SceneTree, sizes: frozenset[str]) -> "Evidence":
+def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
     from .given_evidence import kept_evidence
@@ -122,7 +125,6 @@ def _evidence(run: RunFolder, tree: SceneTree, sizes: frozenset[str]) -> "Eviden
         photo=_rgb(run) if photo else None,
         masks=masks,
         boxes=not (run.path / GIVEN).is_file(),
-        sizes=sizes,
     )
 
 
@@ -143,7 +145,7 @@ def _inputs(
     tree: SceneTree,
     specs: Mapping[str, Path],
     patch: "LayoutPatch",
-    sizes: frozenset[str],
+    by_hand: frozenset[str],
     *,
     refits: bool,
 ) -> dict[str, object]:
@@ -161,8 +163,8 @@ def _inputs(
         inputs |= program_files(run, tree)
     if patch.objects:
         inputs["layout"] = patch
-    if sizes:
-        inputs["sizes"] = sorted(sizes)
+    if by_hand:
+        inputs["sizes"] = sorted(by_hand)
     return inputs
 
 

@@ -29,9 +29,7 @@ from ..physics.model import SceneModel
 from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
 from ..search.final_alignment import FinalAlignment, align_final
 from ..search.scene_refinement import Refined, refine
-from ..spec import ObjectSpec, SceneSpec, SceneTree, TreeNode, Vec3
-from ..spec.pose import triple
-from ..spec.scale import fit_to_box
+from ..spec import ObjectSpec, SceneSpec, SceneTree
 
 
 @dataclass(frozen=True)
@@ -87,17 +85,12 @@ def place(
         tree = evidence.masks.with_boxes(tree)
     if known is not None:
         tree = with_known_camera(tree, known)
-    known_sizes = {
-        node.name: _built_size(node, objects[node.name])
-        for node in tree.nodes
-        if node.name in evidence.sizes and node.name in objects
-    }
-    tree, fit = evidence.objects.applied(_with_known_sizes(tree, known_sizes), objects), None
+    tree, fit = evidence.objects.applied(tree, objects), None
     if options.refit and evidence.boxes:
         visible = shown_sides(compose(tree, objects, options, name=name).scene)
         tree, fit = refit_tree(tree, objects, visible, known=known)
         # The fit changes known sizes by about 1 %.
-        tree = evidence.objects.applied(tree.with_sizes(known_sizes), objects)
+        tree = evidence.objects.applied(tree, objects)
     build = partial(_composed, tree, objects, evidence, options, name)
     composed = build({})
     if evidence.photo is None or not options.align.enabled:
@@ -128,23 +121,6 @@ def place(
     scene = _with_kept(put_down(aligned, options.gap_m), tree, evidence, options)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
-
-
-def _built_size(node: TreeNode, spec: ObjectSpec) -> Vec3:
-    """Return the edges of an object as it is built, with its joints as open as parsed [m]."""
-    fit = fit_to_box(spec, node)
-    return triple(fit.high - fit.low)
-
-
-def _with_known_sizes(tree: SceneTree, sizes: Mapping[str, Vec3]) -> SceneTree:
-    """Return the tree with some sizes, of which all edges are known."""
-    nodes = []
-    for node in tree.with_sizes(sizes).nodes:
-        if node.name in sizes:
-            cues = node.cues.model_copy(update={"known_size": ("x", "y", "z")})
-            node = node.model_copy(update={"cues": cues})
-        nodes.append(node)
-    return tree.model_copy(update={"nodes": tuple(nodes)})
 
 
 def _composed(

@@ -122,7 +122,6 @@ def refine_layout(context: StepContext) -> None:
 def _evidence(run: RunFolder) -> "Evidence":
     """Return the evidence of a run, with masks assigned to the objects of the tree."""
     from ..evidence.mask_files import matched_to
-    from .edited_files import edited_objects
     from .given_evidence import kept_evidence
 
     kept = kept_evidence(run)
@@ -130,7 +129,7 @@ def _evidence(run: RunFolder) -> "Evidence":
         return kept
     tree = read_tree(run)
     masks = None if kept.masks is None else matched_to(kept.masks, tree)[0]
-    return replace(kept, masks=masks, sizes=edited_objects(run, tree))
+    return replace(kept, masks=masks)
 
 
 def _mean(values: list[float]) -> float:
