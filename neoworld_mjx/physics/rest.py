@@ -5,7 +5,6 @@ receive a final check, the final alignment, and the measures of a scene as it is
 The search calls its two halves, `settle` and a rollout, because it scores the settled poses.
 """
 
-import contextlib
 import copy
 import dataclasses
 import weakref
@@ -64,7 +63,8 @@ class Rested(NamedTuple):
     end_depths: tuple[Depths, ...]
     """Depths at the end of the free fall, when contacts bear weight; empty if it failed."""
     status: Int[np.ndarray, " pop"]
-    """OK; FAILED if the free fall diverged; TRUNCATED if MuJoCo's memory dropped contacts."""
+    """OK; FAILED if the free fall diverged; TRUNCATED if MuJoCo's memory does not hold its
+    contacts."""
 
 
 def rest(
@@ -139,8 +139,11 @@ def _simulate(
 ) -> tuple[Float[np.ndarray, "pop step nq"], Int[np.ndarray, " pop"]]:
     """Simulate a batch in one call; return qpos after every step, and the status of each one."""
     qpos = np.full((batch.nsim, steps, batch.model.nq), np.nan)
-    with contextlib.suppress(SimulationError):  # its simulations are left as not a number
+    refused = np.zeros(0, int)
+    try:
         batch.rollout(steps, record=("qpos",), out={"qpos": qpos})
+    except SimulationError as error:  # MuJoCo's stack is full; the others are simulated
+        refused = error.ids
     raised = lambda *kinds: batch.warning[:, [int(kind) for kind in kinds], 1].any(axis=1)
     w = mujoco.mjtWarning
     # Comparisons with NaN are false.
@@ -148,6 +151,7 @@ def _simulate(
     failed |= raised(w.mjWARN_BADQPOS, w.mjWARN_BADQVEL, w.mjWARN_BADQACC)
     status = np.where(failed, int(RolloutStatus.FAILED), int(RolloutStatus.OK))
     status[raised(w.mjWARN_CONTACTFULL, w.mjWARN_CNSTRFULL)] = int(RolloutStatus.TRUNCATED)
+    status[refused] = int(RolloutStatus.TRUNCATED)
     return qpos, status
 
 
