@@ -56,6 +56,8 @@ class Gap(NamedTuple):
     """Standard deviation of a negative value [m]."""
     normal: Float[np.ndarray, " 3"]
     points: tuple[ContactPoint, ...]
+    resizes: bool = False
+    """True if the sizes of the objects may give way, too."""
 
 
 class ContactGaps(NamedTuple):
@@ -64,9 +66,8 @@ class ContactGaps(NamedTuple):
     gap: Float[np.ndarray, " n"]
     """Signed distance [m]; negative is penetration depth."""
     jacobian: Float[np.ndarray, "n v"]
-    """Derivatives of the gaps with respect to all unknowns and stretches. Derivatives with respect
-    to sizes and stretches are set to zero: otherwise, an object that is too large for its container
-    would shrink."""
+    """Derivatives of the gaps with respect to all unknowns and stretches; those with respect to
+    stretches, and to sizes that do not give way, are zero."""
     precision: Float[np.ndarray, " n"]
     """Precision of a negative gap [1/m^2]."""
 
@@ -91,7 +92,7 @@ class ContactGaps(NamedTuple):
             for k, body, position, share in gap.points:
                 local = now.local(body, position[None])
                 for u in unknowns.columns_of(k):
-                    if not unknowns.is_size(u):
+                    if gap.resizes or not unknowns.is_size(u):
                         moved = neighbors[u].world(body, local) - now.world(body, local)
                         row[u] += share * (moved[0] @ gap.normal) / STEP
         precision = [1 / gap.deviation**2 for gap in gaps]
@@ -224,7 +225,7 @@ def contacts(colliders: SceneGeoms, unknowns: Unknowns, now: Placement) -> Itera
             line / length * np.sign(gap),
             OVERLAP_M * math.hypot(1, min(gap, 0.0) / DEEP_M),
         )
-        found.setdefault(pair, []).append(Gap(gap, deviation, normal, points))
+        found.setdefault(pair, []).append(Gap(gap, deviation, normal, points, resizes=True))
     for gaps in found.values():
         yield from sorted(gaps, key=lambda gap: gap.value)[:MOST_CONTACTS]
 

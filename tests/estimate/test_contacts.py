@@ -43,6 +43,16 @@ def test_the_gap_is_the_signed_distance_and_its_derivative_moves_it(gap):
     assert expected == pytest.approx(0.003, abs=1e-6)
 
 
+def test_sizes_give_way():
+    unknowns, result = found(pair(-0.004))
+    larger = np.zeros(unknowns.size)
+    larger[[unknowns.columns(k).stop - 1 for k in (1, 2)]] = 0.01, 0.02
+    _, moved = found(pair(-0.004), larger)
+    expected = result.jacobian[:, : unknowns.size] @ larger
+    assert moved.gap - result.gap == pytest.approx(expected, abs=2e-5)
+    assert expected == pytest.approx(-(0.01 + 0.02) * 0.05, abs=1e-5)
+
+
 def mesh_scene():
     """A can, which is a cylinder, next to a hull, which is a mesh."""
     hull = single("hull", (Mesh(vertices=WALL, faces=FACES), (0, 0, 0)))
