@@ -254,7 +254,7 @@ def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
     assert read_scene(run / "scene.json").object("cup").yaw == 0.25
     data = json.loads((run / "run.json").read_text())
     (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
-    assert note["step"] == "refine" and note["what"].startswith("1 object") and "cup" in note["why"]
+    assert note["step"] == "refine" and note["what"] == "aligned again: cup"
     fails = lambda composed, refined, *_, **more: FinalAlignment(refined, failure="singular")
     monkeypatch.setattr(place, "align_final", fails)
     assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)

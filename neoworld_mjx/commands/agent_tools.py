@@ -45,7 +45,9 @@ class AgentTools:
     def __init__(self, folder: Path) -> None:
         self.agent_run = AgentRun(folder)
         self._shown: set[str] = set()
-        """Instructions and schemas that the agent has received."""
+        """Instructions and schemas of the requests that the agent has answered."""
+        self._sent: dict[str, tuple[str, str]] = {}
+        """Instructions and schema of each request that was returned, by its id."""
 
     def start(
         self,
@@ -77,8 +79,8 @@ class AgentTools:
     ) -> Content:
         """Return an open request: instructions, JSON schema, the request itself, and its pictures.
 
-        Instructions and schemas that you have received before are only named. If no request is
-        open, wait while the run computes.
+        Instructions and schemas of requests that you have answered are only named. If no request
+        is open, wait while the run computes.
 
         Args:
             id: the request; default: the oldest open one.
@@ -94,7 +96,7 @@ class AgentTools:
         schema = json.dumps(without_titles(json.loads(request.schema)), separators=(",", ":"))
         for title, text in (("Instructions", request.instructions), ("JSON schema", schema)):
             parts += [f"## {title}", AGAIN if text in self._shown and not repeat else text]
-            self._shown.add(text)
+        self._sent[request.id] = request.instructions, schema
         labels = [f"{p.label}: {p.size[0]} x {p.size[1]} px" for p in request.pictures]
         parts += ["## Pictures, below in this order", "\n".join(labels), "## Request"]
         return ["\n\n".join([*parts, request.prompt]), *request.pictures]
@@ -142,7 +144,7 @@ class AgentTools:
         return ["\n".join(number_lines(shown.objects, shown.issues)), shown.picture]
 
     def submit(self, id: str, response: dict[str, Any]) -> Content:
-        """Answer a request. A response that does not fit is rejected with all of its mistakes.
+        """Answer a request. A response that does not fit is rejected with its mistakes.
 
         Args:
             id: the request, such as "0001-parse".
@@ -152,6 +154,7 @@ class AgentTools:
         reason = respond(self.agent_run.mailbox, id, text, timeout_s=READ_S)
         if reason:
             raise SpecError(f"rejected: {reason}")
+        self._shown.update(self._sent.pop(id, ()))
         self.agent_run.wait(2.0)
         return [f"accepted\n{self.agent_run.state()}"]
 

@@ -7,7 +7,7 @@ official SDK. The transport is stdio, or streamable HTTP on 127.0.0.1.
 import functools
 import inspect
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -19,8 +19,11 @@ from .base_command import Command, CommandResult
 if TYPE_CHECKING:
     from mcp.server.mcpserver import MCPServer
 
-MAX_PICTURE_BYTES = 700_000
-"""Size above which a picture is sent as JPEG, because clients bound the size of results."""
+    from ..mllm import Picture
+
+MAX_PICTURES_BYTES = 600_000
+"""Size of a result's pictures above which they are sent as JPEG. The client of the SDK accepts
+1 MiB a result, in which pictures take 4/3 of their sizes."""
 PROGRESS_S = 1.0
 """Interval at which a tool reports progress [s]."""
 ABOUT = (
@@ -92,6 +95,17 @@ def skill_text() -> str:
     raise RunError("the skill is missing: install the package again")
 
 
+def bounded(content: Sequence["str | Picture"], most: int) -> list[str | tuple[str, bytes]]:
+    """Return a result's texts, and MIME type and content of its pictures.
+
+    Args:
+        content: texts and pictures.
+        most: size of all pictures above which they become JPEG [bytes].
+    """
+    count = max(sum(not isinstance(entry, str) for entry in content), 1)
+    return [entry if isinstance(entry, str) else entry.bounded(most // count) for entry in content]
+
+
 def build_server(folder: Path) -> "MCPServer":
     """Return the server of an agent's folder.
 
@@ -105,7 +119,7 @@ def build_server(folder: Path) -> "MCPServer":
         from mcp.server.mcpserver.exceptions import ResourceNotFoundError, ToolError
     except ModuleNotFoundError:
         raise ConfigError("neoworld mcp needs its extra: uv sync --inexact --extra mcp") from None
-    from ..mllm import Picture, package_text
+    from ..mllm import package_text
     from .agent_tools import TOOLS, AgentTools
 
     tools = AgentTools(folder)
@@ -113,9 +127,11 @@ def build_server(folder: Path) -> "MCPServer":
     server = MCPServer("neoworld", instructions=ABOUT)
     logging.root.handlers[:] = handlers  # The SDK adds one, which would print the log twice.
 
-    def image(picture: Picture) -> Image:
-        media_type, data = picture.bounded(MAX_PICTURE_BYTES)
-        return Image(data=data, format=media_type.removeprefix("image/"))
+    def images(content: list[Any]) -> list[Any]:
+        return [
+            entry if isinstance(entry, str) else Image(data=entry[1], format=entry[0][6:])
+            for entry in bounded(content, MAX_PICTURES_BYTES)
+        ]
 
     async def report(ctx: Context) -> None:
         elapsed = 0.0
@@ -134,7 +150,7 @@ def build_server(folder: Path) -> "MCPServer":
                 tasks.cancel_scope.cancel()
             if isinstance(content, NeoWorldError):
                 raise ToolError(str(content))
-            return [entry if isinstance(entry, str) else image(entry) for entry in content]
+            return images(content)
 
         signature = inspect.signature(method)
         first = inspect.Parameter(

@@ -29,9 +29,9 @@ AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 class PreviewCommand(Command):
     """Draw a response to the request `parse` on the photograph, and check it, before it is given.
 
-    For a request of a mailbox, name its response.json: the photograph and the scene that a
-    correction changes are read from the same folder. A camera that is known from evidence is not
-    used; the tool of `neoworld mcp` uses it.
+    For a request of a mailbox, write the response as draft.json into the request's folder, from
+    which the photograph and the scene that a correction changes are read; response.json would
+    submit it. A camera that is known from evidence is not used; the tool of `neoworld mcp` uses it.
     """
 
     response: Positional[Path]

@@ -94,7 +94,9 @@ def respond(mailbox: Path, name: str, text: str, *, timeout_s: float) -> str:
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
             if (folder / ERROR).exists():
-                return _read(folder / ERROR).decode("utf-8", "replace").partition("\n\n")[2]
+                text = _read(folder / ERROR).decode("utf-8", "replace")
+                # The last paragraph is about the mailbox's files.
+                return text.partition("\n\n")[2].rpartition("\n\n")[0]
             if not (folder / WAITING).exists():
                 return ""
             time.sleep(POLL_S)

@@ -75,9 +75,8 @@ def refine_layout(context: StepContext) -> None:
         if final is not None and final.failure:
             run.fallback("refine", "no object is aligned again", final.failure)
         if final is not None and final.measure is not None:
-            count = "1 object" if len(final.aligned) == 1 else f"{len(final.aligned)} objects"
-            why = f"the refinement had moved them in the image: {', '.join(final.aligned)}"
-            run.note("refine", f"{count} aligned again", why)
+            why = "settling or the search had moved it away from its contour in the photograph"
+            run.note("refine", f"aligned again: {', '.join(final.aligned)}", why)
         (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
         moves = object_moves(composed, scene)
         checks = scene_checks(placed.measure, config.refine)

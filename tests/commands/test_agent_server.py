@@ -13,6 +13,7 @@ import sys
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -20,9 +21,14 @@ pytest.importorskip("mcp")
 from mcp import Client, MCPError, StdioServerParameters
 
 from neoworld_mjx.commands.agent_tools import TOOLS, _placement
-from neoworld_mjx.commands.mcp_command import McpCommand, build_server
+from neoworld_mjx.commands.mcp_command import (
+    MAX_PICTURES_BYTES,
+    McpCommand,
+    bounded,
+    build_server,
+)
 from neoworld_mjx.errors import ConfigError, RunError, SpecError
-from neoworld_mjx.mllm import Tape, bundled_tapes
+from neoworld_mjx.mllm import Picture, Tape, bundled_tapes
 from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from tests.conftest import QUICK
 from tests.support import scenes
@@ -182,8 +188,21 @@ def test_a_response_is_tried_before_it_is_given(built):
     assert "picture: got '2', valid are: 1" in seen["no zoom"]
 
 
+def test_pictures_of_a_result_fit_into_what_a_client_accepts(tmp_path):
+    """The client of the SDK refuses results above 1 MiB, in which bytes are written as base64."""
+    noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
+    pictures = [Picture.of(f"photo {k}", noise) for k in range(3)]
+    assert sum(len(picture.data) for picture in pictures) > 2**20
+    sent = bounded(["text", *pictures], MAX_PICTURES_BYTES)
+    assert sent[0] == "text"
+    assert {media_type for media_type, _ in sent[1:]} == {"image/jpeg"}
+    small = Picture.of("small", noise[:20, :20])
+    assert bounded([small], MAX_PICTURES_BYTES) == [("image/png", small.data)]
+
+
 def test_a_rejection_lists_every_mistake(built):
     _, seen = built
+    assert "response.rejected" not in seen["rejected"]
     assert "camera.pitch_deg" in seen["rejected"]
     assert "camera.fovy_deg: Field required" in seen["rejected"]
     assert seen["accepted"].startswith("accepted\n")
@@ -404,8 +423,7 @@ def test_one_run_at_a_time_and_only_open_requests(tmp_path):
             whole, pictures = await coffee.call("next_request")
             again, _ = await coffee.call("next_request", id="0001-parse")
             assert len(pictures) == 1
-            assert len(again) < len(whole) / 5
-            assert (await coffee.call("next_request", repeat=True))[0] == whole
+            assert again == whole  # A client may have lost what it has not answered.
 
     asyncio.run(use())
 
