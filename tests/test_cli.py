@@ -172,8 +172,10 @@ def test_output_of_other_code_is_not_mixed_with_the_json(capfd, monkeypatch):
 
 
 LONG_NATIVE_CALL = """
-import hashlib, sys, threading
+import hashlib, signal, sys, threading
 from neoworld_mjx import cli
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # Shells ignore it in background jobs.
 from neoworld_mjx.commands.doctor_command import DoctorCommand
 
 def work(command):
