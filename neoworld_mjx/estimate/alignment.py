@@ -94,7 +94,7 @@ class ObjectAlignment:
 
 @dataclass(frozen=True)
 class ViewOutcome:
-    """What the alignment made of a further photograph."""
+    """Outcome of a further photograph in the alignment."""
 
     objects: int
     """Number of objects in it whose boxes are known."""

@@ -5,7 +5,7 @@ by the few centimeters that a photograph leaves open. Yet the photograph shows t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -56,8 +56,8 @@ class Standing:
             at.inverse().apply(middle[None])[0]
             for at, middle in zip(world_poses(scene).values(), middles, strict=True)
         ]
-        every = cls(mass, np.array(centers))
-        return cls(mass, every.center, _on_one_support(every, unknowns))
+        standing = cls(mass, np.array(centers))
+        return replace(standing, supports=_on_one_support(standing, unknowns))
 
     def insets(self, unknowns: Unknowns, now: Placement) -> Iterator[Gap]:
         """Yield how far centers of mass are inside the edges of their supports in a placement."""

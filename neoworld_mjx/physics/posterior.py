@@ -21,13 +21,13 @@ class PhysicalPrior(NamedTuple):
 
     The center of each prior is the value in the scene.
 
-    | quantity | deviation | source |
-    |---|---|---|
-    | density of an object | 0.30 | woods of one appearance differ by a factor of 1.5 to 2 in density (Forest Products Laboratory, Wood Handbook, FPL-GTR-282, tables 4-3 and 5-3); walls and fillings are not seen |
-    | friction of its contacts | 0.25 | laboratories that measure one pair of materials differ by 18 to 20 % (Czichos, Becker, Lexow, VAMAS, Wear 114, 1987); the material is guessed |
-    | dry friction of a joint | 0.70 | assumed: within a factor of 2, since it is derived from the weight of the part (`program/assemble.py`) |
-    | damping of a joint | 0.70 | assumed, for the same reason |
-    """  # noqa: E501
+    All deviations are assumed, not measured:
+
+    - density: walls, fillings and kinds of wood are not seen;
+    - friction of contacts: the material is that of the program;
+    - dry friction and damping of joints: within a factor of 2, because they are derived from the
+      weight of the part (`program/assemble.py`).
+    """
 
     density: float = 0.30
     friction: float = 0.25

@@ -33,7 +33,7 @@ PART, BOXES_PART = "parse/views", "parse/boxes"
 
 
 class _Kept(Spec):
-    """What is known of a further photograph, as a run keeps it."""
+    """Boxes and camera of a further photograph, as a run keeps them."""
 
     source: str
     boxes: dict[str, Box2D]

@@ -91,8 +91,8 @@ class SceneObject(Spec):
     known: Literal["size", "pose"] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """What the user knows of the object, and no stage changes: its size, or its size and its pose
-    on its support."""
+    """Known part of the object, which no stage changes: its size, or its size and its pose on its
+    support."""
 
     @property
     def static(self) -> bool:
