@@ -25,7 +25,6 @@ from neoworld_kernels.first_hits import (
 
 from .array_types import AnyArray
 from .layout import Poses, rotation
-from .photo_view import PhotoView
 from .scene_arrays import SceneArrays
 
 WINDOW_TILE, WINDOW_TILES = 8, 3
@@ -67,19 +66,6 @@ class Visible(eqx.Module):
     unoccluded_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     outlines: Outlines
-
-
-def as_parsed(photo: PhotoView, pop: int) -> Visible:
-    """Return the visible parts of candidates that match the photograph exactly."""
-    repeated = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (pop, *np.shape(x)))
-    boxes, ones = repeated(photo.boxes), jnp.ones((pop, len(photo.boxes)))
-    x, y = ((boxes[..., k] + boxes[..., k + 2]) / 2 for k in range(2))
-    tips = [(boxes[..., 0], y), (x, boxes[..., 1]), (boxes[..., 2], y), (x, boxes[..., 3])]
-    extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
-    middle = jnp.stack([x, y], axis=-1)
-    projected = Outlines(boxes, extremes, middle, repeated(photo.depth), ones)
-    unoccluded_sides = jnp.broadcast_to(ones[..., None] > 0, boxes.shape)
-    return Visible(boxes, ones, unoccluded_sides, projected)
 
 
 def outlines(scene: SceneArrays, poses: Poses) -> Outlines:

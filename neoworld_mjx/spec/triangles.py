@@ -164,13 +164,6 @@ HULL_EDGE_SAMPLES = 17
 """Number of points along each edge of a hull at which the distance to the polygons is measured."""
 
 
-def loops_distance(p: NDArray, loops: list[NDArray]) -> NDArray:
-    """Return the distances [n] of points [n, 2] to an outline with holes, negative inside."""
-    a = np.vstack(loops)
-    b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
-    return edges_distance(p, a, b) * np.where(inside_edges(p, a, b), -1.0, 1.0)
-
-
 def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
     """Return the distances [n] of points [n, 2] to the nearest of the edges from a to b [e, 2]."""
     edge = b - a

@@ -15,13 +15,13 @@ from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed
-from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.search import rewards
 from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.search.problem import open_terms
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout
+from tests.support.visible import as_parsed
 
 
 @functools.cache

@@ -7,11 +7,12 @@ import pytest
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.physics.visibility import as_parsed, visibility
+from neoworld_mjx.physics.visibility import visibility
 from neoworld_mjx.search.semantic import semantic_score
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, stored_scene
+from tests.support.visible import as_parsed
 
 DRAWS = 64
 

@@ -9,11 +9,11 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.placed import Placed
-from neoworld_mjx.physics.visibility import as_parsed
 from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
+from tests.support.visible import as_parsed
 
 OPTIONS = RefineOptions()
 DEPTH, DRIFT = np.float32(OPTIONS.max_depth_m), OPTIONS.max_drift_m
