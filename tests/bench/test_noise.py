@@ -6,7 +6,6 @@ from neoworld_bench.dataset.declaration import (
     ObjectDeclaration,
     declarations,
     program_of,
-    template_of,
 )
 from neoworld_bench.dataset.truth_scene import built, truth_scene
 from neoworld_bench.fidelity.rendered_responses import (
@@ -21,7 +20,6 @@ from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.measures.surface_measure import geometry_measure, surface_points
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
 from neoworld_bench.noise import joint_noise, parse_noise
-from neoworld_bench.noise.dimension_noise import WRONG, editable, with_wrong_dimensions
 from neoworld_bench.noise.initial_scenes import (
     initial_scene,
     wrong_shapes,
@@ -43,9 +41,7 @@ from neoworld_bench.noise.program_noise import (
     wrong_program,
 )
 
-from neoworld_mjx.program.named_constants import named_constants
 from neoworld_mjx.spec import ObjectSpec, SceneTree, bounds, inertial
-from neoworld_mjx.templates.template import BOX
 
 
 def test_missed_and_extra_objects_do_not_affect_errors():
@@ -309,24 +305,3 @@ def test_initial_scene_with_all_noise_composes(desk):
     assert len(extra) == log.injected.count("extra") + 2 * split
     assert "joint missing" in log.injected
     assert layout_errors(start, few)["scale_error"] > 1e-3
-
-
-def test_dimension_noise_makes_edges_wrong_and_leaves_a_program_that_builds_them():
-    signs = set()
-    for item in declarations()["desk_laptop"].movable():
-        log = NoiseLog()
-        wrong = with_wrong_dimensions(item, 5, log)
-        assert with_wrong_dimensions(item, 5, NoiseLog()) == wrong and log.refused == []
-        right = template_of(item).program(item.set)
-        values = [{c.name: c.value for c in named_constants(text)} for text in (wrong.text, right)]
-        ratios = [values[0][name] / values[1][name] for name in BOX]
-        assert all(abs(ratio - 1) < WRONG + 1e-9 for ratio in ratios)
-        signs |= {tuple(np.sign(np.array(ratios) - 1))}
-        same = values[1]["depth"] == values[1]["width"]
-        assert not same or values[0]["depth"] == values[0]["width"]
-        programs = editable({item.name: wrong})
-        assert programs.build(item.name, wrong.text) == wrong.spec
-        assert programs.check(item.name, wrong.text) == ""
-        assert programs.build(item.name, wrong.text + "depth = ") != wrong.spec
-        assert programs.check(item.name, wrong.text + "depth = ")
-    assert len(signs) > 2
