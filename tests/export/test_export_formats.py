@@ -109,7 +109,7 @@ def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabine
     assert "not empty" in "".join(capfd.readouterr())
     assert "stiffness and armature of joints" in answer["lost"]["urdf"]
     assert not any("ball joints" in text for text in answer["lost"]["urdf"])
-    assert run("--for", "isaac", "--floor", "--overwrite") == 2
+    assert run("--for", "newton", "--floor", "--overwrite") == 2
     assert "--floor is written to MJCF only" in "".join(capfd.readouterr())
     assert run("--for", "mjx", "--floor", "--overwrite") == 0
     assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
@@ -166,37 +166,3 @@ def test_the_newton_layer_sets_joint_states_and_contacts(tmp_path, scene):
     assert colliders > 20
     assert over.GetDefaultPrim().GetName() == "scene" and UsdGeom.GetStageUpAxis(over) == "Z"
     assert UsdPhysics.GetStageKilogramsPerUnit(over) == 1
-
-
-def test_the_isaac_layer_composes_over_the_scene(tmp_path, scene):
-    write_formats(scene, tmp_path, ["usd"], simulator="isaac")
-    below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "isaac.usda"))
-    settings = over.GetPrimAtPath("/scene/physics_")
-    assert "PhysxSceneAPI" in settings.GetMetadata("apiSchemas").GetAppliedItems()
-    assert settings.GetAttribute("physxScene:timeStepsPerSecond").Get() == 240
-    joints, roots, links = {}, [], 0
-    for prim in over.Traverse():
-        path = prim.GetPath()
-        assert below.GetPrimAtPath(path).GetTypeName() == prim.GetTypeName() != "", path
-        if prim.HasAPI(UsdPhysics.ArticulationRootAPI):
-            roots.append(str(path))
-            assert prim.GetAttribute("physxArticulation:enabledSelfCollisions").Get() is True
-        if prim.HasAPI(UsdPhysics.CollisionAPI):
-            for name in ("newton:contactGap", "physxCollision:contactOffset"):
-                assert prim.GetAttribute(name).Get() == pytest.approx(0.002)
-        if prim.HasAPI(UsdPhysics.MaterialAPI):
-            assert prim.GetAttribute("physxMaterial:frictionCombineMode").Get() == "max"
-        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
-            links += 1
-            assert prim.GetAttribute("physxRigidBody:angularDamping").Get() == 0
-        for kind in ("angular", "linear"):
-            state = prim.GetAttribute(f"state:{kind}:physics:position")
-            if state:
-                joints[str(path)] = state.Get()
-    # What is held has its root at the joint to the world; what cannot move has none.
-    assert roots == ["/scene/box", "/scene/fixtures/fastened"]
-    assert links > 5
-    assert joints["/scene/box/joints/hinge"] == pytest.approx(np.degrees(0.8))
-    assert joints["/scene/fastened/joints/slide"] == pytest.approx(0.05)
-    # Also of joints at 0, which the scene itself says nothing about.
-    assert 0.0 in joints.values()
