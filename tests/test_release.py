@@ -12,7 +12,6 @@ import neoworld_mjx
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 
 ROOT = Path(__file__).parents[1]
-WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 
 
 def text_of(name):
@@ -51,21 +50,6 @@ def test_every_picture_beside_the_examples_is_credited():
         path.name for path in (ROOT / "examples").iterdir() if path.suffix in (".png", ".jpg")
     }
     assert pictures == {example.photo.name for example in bundled_examples().values()}
-
-
-def test_workflows_run_the_repositorys_own_scripts():
-    commands = {
-        step["run"]
-        for path in WORKFLOWS
-        for job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].values()
-        for step in job["steps"]
-        if "run" in step
-    }
-    assert commands >= {".ci/run", ".ci/wheel", ".ci/run -m slow"}
-    for command in commands:
-        if command.startswith(".ci/"):
-            script = ROOT / command.split()[0]
-            assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
 
 
 def test_the_container_runs_both_commands_of_the_readme():

@@ -1,11 +1,9 @@
 """Output of commands in a terminal: short results, signals of programs, status line and log."""
 
-import io
 import logging
 
 import pytest
 
-from neoworld_mjx.commands.terminal import StatusLine
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build
@@ -88,22 +86,6 @@ def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworl
     code, out, _ = neoworld("check", program)
     assert code == 0 and "unknown" not in out
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
-
-
-@pytest.mark.parametrize(
-    ("options", "lines"),
-    [({}, ["careful"]), ({"verbose": True}, ["begun", "careful"]), ({"quiet": True}, [])],
-)
-def test_progress_is_printed_only_if_verbose(options, lines):
-    stream = io.StringIO()
-    line = StatusLine(stream, **options)
-    for name, level, text in (
-        ("neoworld_mjx.progress", logging.INFO, "begun"),
-        ("neoworld_mjx.progress", logging.DEBUG, ""),
-        ("neoworld_mjx.x", logging.WARNING, "careful"),
-    ):
-        line.handle(logging.LogRecord(name, level, "", 0, text, None, None))
-    assert stream.getvalue().splitlines() == lines
 
 
 def test_a_run_keeps_its_log_and_its_outcome(tmp_path):

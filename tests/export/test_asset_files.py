@@ -132,17 +132,6 @@ def test_materials_of_obj_files_are_read(tmp_path):
     assert colors(tmp_path / "a.urdf") == {(0.8, 0.1, 0.1, 1.0), (0.1, 0.8, 0.1, 0.5)}
 
 
-def test_materials_outside_of_the_asset_are_noted(tmp_path):
-    home = tmp_path / "home"
-    home.mkdir()
-    obj_with_materials(home)
-    (home / "m.mtl").rename(tmp_path / "m.mtl")
-    text = (home / "m.obj").read_text().replace("mtllib m.mtl", "mtllib ../m.mtl")
-    (home / "m.obj").write_text(text)
-    (home / "a.urdf").write_text(urdf(mesh("m.obj")))
-    assert any("outside its folder" in note for note in import_file(home / "a.urdf").notes)
-
-
 def test_vertex_colors_and_textures_of_meshes_are_read(tmp_path):
     box = trimesh.creation.box((0.2, 0.2, 0.2))
     box.visual.vertex_colors = [0, 0, 255, 255]
@@ -173,9 +162,3 @@ def test_materials_of_urdf_are_found_wherever_they_are_defined(tmp_path):
     obj_with_materials(tmp_path)
     path.write_text(urdf(mesh("m.obj"), red))
     assert colors(path) == {(0.9, 0.1, 0.1, 1.0)}
-
-
-def test_shapes_that_are_not_read_are_noted(tmp_path):
-    path = tmp_path / "a.urdf"
-    path.write_text(urdf("<geometry><ellipsoid radii='1 1 1'/></geometry>"))
-    assert "link base: a visual with ellipsoid is not imported" in import_file(path).notes

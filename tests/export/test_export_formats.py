@@ -12,11 +12,10 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import (
     collider_error,
-    losses,
     write_formats,
 )
 from neoworld_mjx.names import FORMATS
-from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, Cylinder, SceneObject, SceneSpec
 from tests.support import mechanisms
 
 
@@ -115,14 +114,6 @@ def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabine
     assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
     model = mujoco.MjModel.from_xml_path(str(out / "object.xml"))
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
-
-
-def test_losses_are_those_of_the_scene():
-    crate = mechanisms.single("crate", Box(size=(0.1, 0.1, 0.1)), 0.05)
-    assert losses("usd", crate) == losses("mjcf", crate) == []
-    assert losses("sdf", crate) == ["textures"]
-    egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
-    assert losses("usdz", egg) == ["ellipsoid colliders, written as meshes"]
 
 
 @pytest.mark.parametrize(("z", "floor"), [(0.0, 0.0), (-0.7, -0.7)])

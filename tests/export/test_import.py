@@ -144,45 +144,12 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
     assert import_urdf(path).spec == result.spec
 
 
-def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(decompose, "coacd_installed", lambda: False)
-    (tmp_path / "u.obj").write_text(U)
-    path = tmp_path / "u.urdf"
-    path.write_text(
-        urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
-    )
-    result = import_urdf(path)
-    assert len(result.spec.parts[0].geoms[0].shape.hulls) == 1
-    assert any("CoACD is not installed" in note for note in result.notes)
-
-
-def test_flat_sheets_get_a_thickness(tmp_path):
-    (tmp_path / "s.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
-    path = tmp_path / "s.urdf"
-    path.write_text(
-        urdf("<link name='s'><visual><geometry><mesh filename='s.obj'/></geometry></visual></link>")
-    )
-    low, high = bounds(import_urdf(path).spec)
-    np.testing.assert_allclose(high - low, [1, 1, decompose.SHEET_M], atol=1e-6)
-
-
 def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
     path = tmp_path / "two.xml"
     body = "<body name='{}'><geom size='0.1'/></body>"
     path.write_text(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody></mujoco>")
     with pytest.raises(SpecError, match="a, b"):
         import_mjcf(path)
-
-
-def test_limits_are_relative_to_the_reference_pose(tmp_path):
-    path = tmp_path / "ref.xml"
-    path.write_text(
-        "<mujoco><compiler angle='radian'/><worldbody><body name='a'><geom size='0.1'/>"
-        "<body name='b' pos='0.2 0 0'><joint name='j' axis='0 0 1' range='0.5 2' ref='1'/>"
-        "<geom size='0.1'/></body></body></worldbody></mujoco>"
-    )
-    (joint,) = import_mjcf(path).spec.joints
-    assert (joint.lower, joint.upper) == pytest.approx((-0.5, 1.0))
 
 
 STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><body name="stove">
@@ -232,17 +199,3 @@ def test_a_mesh_that_takes_long_leaves_the_others_their_share_of_the_time(tmp_pa
     assert f"{hulls[1]} convex pieces by CoACD" in note
     # The hulls are not stored: a later import may take the time.
     assert len(list(tmp_path.glob("cache/**/*.npz"))) == 1
-
-
-def test_closed_meshes_are_split_finely(tmp_path):
-    pytest.importorskip("coacd")
-    import trimesh
-
-    box = trimesh.creation.box((1.0, 0.5, 0.8))
-    slot = trimesh.creation.box(
-        (0.9, 0.4, 0.1), trimesh.transformations.translation_matrix((0.2, 0, 0.2))
-    )
-    mesh = trimesh.boolean.difference([box, slot], engine="manifold")
-    pieces = decompose.convex_pieces(mesh.vertices, mesh.faces).pieces
-    volume = sum(decompose.volume_of_hull(piece) for piece in pieces)
-    assert volume == pytest.approx(mesh.volume, rel=0.02)
