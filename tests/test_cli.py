@@ -129,18 +129,14 @@ block.part("body", material=wood).add(box((0.04, 0.04, 0.03)), at=(0, 0, 0), by=
 
 
 def test_a_program_becomes_its_files(neoworld, tmp_path):
-    program = tmp_path / "block.py"
+    program = tmp_path / "program.py"
     program.write_text(PROGRAM)
-    completed = neoworld("build", program, "--out", tmp_path / "out", "--json")
+    completed = neoworld("export", program, "--out", tmp_path / "out", "--json")
     assert completed.returncode == 0, completed.stdout + completed.stderr
-    assert json.loads(completed.stdout)["object"] == "block"
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert files >= {"object.urdf", "object.usda", "object.xml", "program.py", "spec.json"}
-    assert_refused(neoworld("build", program, "--out", tmp_path / "out"), "--overwrite")
-    assert neoworld("check", program).returncode == 0
-    assert "valid: block passes" in neoworld("check", tmp_path / "out").stdout
-    (tmp_path / "out" / "program.py").unlink()
-    assert "valid: block passes" in neoworld("check", tmp_path / "out").stdout
+    assert files >= {"object.urdf", "object.usdc", "object.xml", "object.sdf"}
+    assert_refused(neoworld("export", program, "--out", tmp_path / "out"), "--overwrite")
+    assert "valid: block passes" in neoworld("check", tmp_path).stdout
 
 
 LONG_NATIVE_CALL = """

@@ -68,23 +68,22 @@ def test_a_tuple_of_computed_numbers_is_accepted_and_counted_when_it_runs():
     assert build(computed.format(add.format("y", rgb))).signals[0].code == "type"
 
 
-def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworld, tmp_path):
+def test_check_shows_signals_with_their_lines_and_what_was_printed(neoworld, tmp_path):
     program = tmp_path / "thing.py"
     program.write_text('print("size", 3)\n' + GOOD.replace("p.add", "p.ad"))
-    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
+    code, out, _ = neoworld("check", program)
     expected = f"{program}:5:1: error type: "
     assert code == 1 and out.splitlines()[0].startswith(expected)
     assert "\n    p.ad(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n    hint: did you mean" in out
-    for words in (("check", program), ("check", program, "-v"), ("build", program, "-v")):
-        place = () if words[0] == "check" else ("--out", tmp_path / "out")
-        code, again, _ = neoworld(*words, *place)
-        assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
+    code, again, _ = neoworld("check", program, "-v")
+    assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
+    code, _, message = neoworld("export", program, "--out", tmp_path / "out")
+    assert code == 2 and "p.ad" not in message and "did you mean" not in message
+    assert not (tmp_path / "out").exists()
     program.write_text('print("size", 3)\n' + GOOD)
-    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
-    assert code == 0
-    assert out.splitlines() == ["thing.py printed: size 3", f"built: thing in {tmp_path / 'out'}"]
     code, out, _ = neoworld("check", program)
     assert code == 0 and "unknown" not in out
+    assert out.splitlines()[0] == "thing.py printed: size 3"
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
 
 

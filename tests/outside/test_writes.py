@@ -39,7 +39,7 @@ def test_a_target_that_is_no_regular_file_is_refused(tmp_path, program, neoworld
         ("render", program, "--out", "/dev/full", "--width", 64),
         ("template", "tool_box", "--out", pipe),
         ("export", program, "--out", pipe),
-        ("build", program, "--out", tmp_path / ("x" * 300)),
+        ("export", program, "--out", tmp_path / ("x" * 300)),
     ):
         code, _, message = neoworld(*words)
         assert code == 2, (words, message)
@@ -83,9 +83,10 @@ def test_a_command_that_the_system_limits_leaves_no_partial_file(program, tmp_pa
     code = f"""
 import resource
 from neoworld_mjx import cli
-import neoworld_mjx.commands.object_commands, neoworld_mjx.program.sandbox
+import neoworld_mjx.commands.export_command, neoworld_mjx.export.formats
+import neoworld_mjx.program.sandbox
 resource.setrlimit(resource.RLIMIT_{limit}, ({number}, {number}))
-cli.main(["build", {str(program)!r}, "--out", {str(tmp_path / "out")!r}])
+cli.main(["export", {str(program)!r}, "--out", {str(tmp_path / "out")!r}])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
