@@ -56,18 +56,6 @@ def test_common_mistakes_get_a_hint(program, code, hint):
         assert len(signals) == 1
 
 
-def test_a_tuple_of_computed_numbers_is_accepted_and_counted_when_it_runs():
-    add = "p.add(box((0.1, 0.1, 0.1)), at=tuple({} for x in (0, 0, 0.05)), rgb={})\n"
-    computed = GOOD.replace("p.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n", "{}")
-    rgb = "tuple(0.9 * v for v in (1, 0.5, 0.2))"
-    built = build(computed.format(add.format("x + 0.01 * (x > 0)", rgb)))
-    assert built.ok and built.signals == ()
-    signal = build(computed.format(add.format("x", "tuple(v for v in (1, 0.5))"))).signals[0]
-    assert signal.code == "value" and signal.line == 4 and "3" in signal.message
-    # Other errors of the same program are reported as before.
-    assert build(computed.format(add.format("y", rgb))).signals[0].code == "type"
-
-
 def test_check_shows_signals_with_their_lines_and_what_was_printed(neoworld, tmp_path):
     program = tmp_path / "thing.py"
     program.write_text('print("size", 3)\n' + GOOD.replace("p.add", "p.ad"))

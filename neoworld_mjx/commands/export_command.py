@@ -8,7 +8,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from ..names import FORMATS, PREFERRED_FORMATS, Format, Simulator
-from .base_command import AssetCommand, CommandResult
+from .base_command import CommandResult, ConfiguredCommand
 from .result_lines import export_lines
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(AssetCommand):
+class ExportCommand(ConfiguredCommand):
     """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]

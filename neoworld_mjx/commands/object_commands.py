@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
 from ..quantities import count
-from .base_command import AssetCommand, Command, CommandResult
+from .base_command import Command, CommandResult, ConfiguredCommand
 from .result_lines import object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCommand(AssetCommand):
+class CheckCommand(ConfiguredCommand):
     """Check a scene or an object, and print each check with its value and threshold.
 
     A run folder is checked with the options of the run, unless --config or --set is given.

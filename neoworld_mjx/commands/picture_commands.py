@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import AssetCommand, Command, CommandResult, ConfiguredCommand
+from .base_command import Command, CommandResult, ConfiguredCommand
 from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class PreviewCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(AssetCommand):
+class RenderCommand(ConfiguredCommand):
     """Render a scene or an object from the scene's or another camera, or as a turntable."""
 
     target: Positional[Path]
@@ -237,7 +237,7 @@ class PageCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewCommand(PageCommand, AssetCommand):
+class ViewCommand(PageCommand):
     """Show a scene or an object in the browser, with its joints and in free fall."""
 
     target: Positional[Path]

@@ -1,15 +1,11 @@
 """Files that assets refer to: folders of packages, URIs, colors of meshes and of URDF."""
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.asset_files import set_packages
 from neoworld_mjx.export.importing import import_file
 
 MASS = (
@@ -64,7 +60,7 @@ def test_a_package_may_keep_its_meshes_beside_the_folder_of_the_urdf(package, ki
 def test_the_manifest_of_a_package_is_found_above(package):
     path = package / "robots" / "left" / "a.urdf"
     path.write_text(urdf(mesh("package://arm_description/meshes/base link.stl")))
-    with pytest.raises(SpecError, match=r"--package arm_description=FOLDER names the folder"):
+    with pytest.raises(SpecError, match="copy the package arm_description, with its"):
         import_file(path)
     (package / "package.xml").write_text("<package/>")
     assert import_file(path).spec.parts
@@ -76,7 +72,7 @@ def test_packages_of_a_workspace_may_refer_to_each_other(tmp_path, package):
     path = other / "a.urdf"
     path.write_text(urdf(mesh("package://arm_description/meshes/base link.stl")))
     (other / "package.xml").write_text("<package/>")
-    with pytest.raises(SpecError, match="--package arm_description"):
+    with pytest.raises(SpecError, match="copy the package arm_description"):
         import_file(path)
     (package / "package.xml").write_text("<package/>")
     assert import_file(path).spec.parts
@@ -84,25 +80,6 @@ def test_packages_of_a_workspace_may_refer_to_each_other(tmp_path, package):
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "secret.stl")
     with pytest.raises(SpecError, match="outside its folder"):
         import_file(path)
-
-
-def test_the_folder_of_a_package_can_be_named(tmp_path, package, capfd):
-    path = tmp_path / "elsewhere" / "a.urdf"
-    path.parent.mkdir()
-    path.write_text(urdf(mesh("package://arm/meshes/base link.stl")))
-    with pytest.raises(SpecError, match="--package arm=FOLDER"):
-        import_file(path)
-    out = str(tmp_path / "out")
-    with pytest.raises(SystemExit) as left:
-        main(["export", str(path), "--out", out, "--format", "urdf", "--json",
-              "--package", f"arm={package}"])  # fmt: skip
-    assert left.value.code == 0
-    assert json.loads(capfd.readouterr().out)["files"]
-    set_packages({})
-    with pytest.raises(SystemExit) as left:
-        main(["export", str(path), "--out", out + "2", "--package", "arm=/nowhere/at/all"])
-    assert left.value.code == 2
-    assert "--package takes NAME=FOLDER" in capfd.readouterr().err
 
 
 def obj_with_materials(folder, name="m"):

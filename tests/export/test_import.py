@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
@@ -14,7 +13,6 @@ from neoworld_mjx.export import (
     import_urdf,
 )
 from neoworld_mjx.export.importing import import_file
-from neoworld_mjx.io.limited_worker import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial
 from neoworld_mjx.verify.checking import import_object
@@ -173,29 +171,3 @@ def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     # The knob collides with nothing, so only a tiny sphere is its collider.
     assert [geom.role for geom in result.spec.part("knob").geoms] == ["visual", "collision"]
     assert result.spec.part("knob").mass == pytest.approx(0.1)
-
-
-def test_a_mesh_that_takes_long_leaves_the_others_their_share_of_the_time(tmp_path, monkeypatch):
-    """CoACD takes minutes for open meshes of some thousand faces; a scene may have many."""
-    pytest.importorskip("coacd")
-    import trimesh
-
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
-    torus = trimesh.creation.torus(0.3, 0.1, 70, 70)
-    trimesh.Trimesh(torus.vertices, torus.faces[:-300]).export(tmp_path / "open.obj")
-    (tmp_path / "u.obj").write_text(U)
-    path = tmp_path / "open.urdf"
-    visuals = [
-        f"<visual><geometry><mesh filename='{file}.obj'/></geometry></visual>"
-        for file in ("open", "u")
-    ]
-    path.write_text(urdf(f"<link name='a'>{''.join(visuals)}</link>"))
-    with bounded_by(FileOptions(decompose_s=6.0)):
-        read = import_urdf(path)
-    hulls = [len(geom.shape.hulls) for geom in read.spec.parts[0].geoms]
-    assert hulls[0] == 1 and hulls[1] >= 3
-    (note,) = [note for note in read.notes if "no colliders" in note]
-    assert "its convex hull, as CoACD fails (" in note and "takes over" in note
-    assert f"{hulls[1]} convex pieces by CoACD" in note
-    # The hulls are not stored: a later import may take the time.
-    assert len(list(tmp_path.glob("cache/**/*.npz"))) == 1

@@ -9,9 +9,7 @@ from neoworld_mjx.errors import EvidenceError, SpecError
 from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.export.formats import object_files
 from neoworld_mjx.export.importing import ImportedScene, import_file
-from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import (
-    mesh_object,
     read_mesh_scene,
     viewpoint,
 )
@@ -145,19 +143,6 @@ def test_a_list_of_poses_says_what_is_fixed_and_where_models_are(tmp_path):
     reported = " / ".join(read.notes)
     assert "ground of the world is not imported" in reported
     assert "gravity 0 0 -1.6 m/s^2 is not kept" in reported
-
-
-def test_mirrored_pose_mirrors_the_mesh():
-    corner = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1.0]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    made = mesh_object("a", [Surface(corner, faces)], np.diag([-1.0, 1, 1, 1]))
-    (shape,) = made.mechanism.links["body"].shapes
-    vertices, outward = shape.shape
-    world = vertices @ made.frame[:3, :3].T + made.frame[:3, 3]
-    assert np.allclose(world, corner * [-1, 1, 1])
-    assert np.linalg.det(made.frame[:3, :3]) == pytest.approx(1)
-    a, b, c = vertices[outward].transpose(1, 0, 2)
-    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
 
 
 @pytest.mark.parametrize(

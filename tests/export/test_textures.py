@@ -14,7 +14,6 @@ from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.write_glb import visible_surface
-from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.render.tiles import tile_png, tile_size
@@ -146,23 +145,3 @@ def test_plain_colors_and_gloss_of_textured_materials_are_read_back(folder, spec
             and np.allclose(finish(material)[:2], finish(own)[:2], atol=1e-5)
         ]
         assert near, name
-
-
-def test_programs_state_a_finish_or_inherit_it():
-    built = run(
-        "from neoworld_mjx.program.sdk import Object, box\n"
-        "o = Object('o')\n"
-        "o.material('seat', like='oak', rgb=(0.5, 0.1, 0.1))\n"
-        "o.material('shell', like='plastic', roughness=0.05, metallic=0.5)\n"
-        "b = o.part('b', material='seat')\n"
-        "b.add(box((0.1, 0.1, 0.1)))\n"
-        "b.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.1), material='shell')\n"
-    )
-    assert built.spec is not None, built.signals
-    seat, shell = (finish(built.spec.material(name)) for name in ("seat", "shell"))
-    assert seat.pattern is not None and seat.pattern.kind == "grain" and seat.roughness == 0.6
-    assert (shell.metallic, shell.roughness) == (0.5, 0.05)
-    wrong = run(
-        "from neoworld_mjx.program.sdk import Object\nObject('o').material('a', 'oak', roughness=2)"
-    )
-    assert not wrong.ok and "roughness" in wrong.signals[0].message

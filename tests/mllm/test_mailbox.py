@@ -119,15 +119,6 @@ def test_a_request_continues_after_a_timeout(make, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
 
 
-def test_an_unwritable_mailbox_is_one_error(make, tmp_path):
-    (tmp_path / "file").write_text("")
-    with (
-        panel_of(tmp_path / "file") as panel,
-        pytest.raises(ModelError, match=r"parse: mailbox .*file"),
-    ):
-        panel.ask_sync(make.request())
-
-
 def test_names_cannot_leave_the_mailbox(make, tmp_path):
     requests = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
     with panel_of(tmp_path / "box", timeout_s=0.05) as panel, pytest.raises(ModelError):

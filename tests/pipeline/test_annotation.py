@@ -46,13 +46,6 @@ def test_a_3d_box_projects_onto_its_2d_box(level):
     assert np.allclose(found.size, true.size, atol=1e-3)
 
 
-def test_a_template_determines_the_depth_of_its_objects():
-    box = Box2D(x0=250, y0=150, x1=390, y1=330)
-    cabinet = placed_box(_object(box, kind="drawer_cabinet"), CAMERA, 0.0)
-    plain = placed_box(_object(box), CAMERA, 0.0)
-    assert not math.isclose(cabinet.size[0] / cabinet.size[1], plain.size[0] / plain.size[1])
-
-
 def test_a_box_above_the_horizon_is_refused_by_name():
     with pytest.raises(SpecError, match=r"object thing.*horizon"):
         placed_box(

@@ -36,9 +36,8 @@ from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photographed, rescue_file
 from neoworld_mjx.render import render_scene, visible_surface
-from neoworld_mjx.spec import Box, SceneObject, SceneSpec, bounds, read_scene, world_poses
+from neoworld_mjx.spec import SceneSpec, bounds, read_scene, world_poses
 from neoworld_mjx.spec.pose import from_yaw, matrix, pose
-from tests.support import scenes
 from tests.support.bop_sample import desk
 from tests.support.mesh_scenes import write_glb, write_poses
 
@@ -98,26 +97,6 @@ def test_objects_without_a_support_get_a_floor():
     assert {item.parent for item in supported.objects[1:]} == {"floor"}
     assert world_poses(supported)["can"].pos[2] == pytest.approx(0.08, abs=5e-4)
     assert any("floor is added below what nothing carries: block" in n for n in notes)
-
-
-def test_objects_that_carry_each_other_in_a_circle_get_a_floor():
-    """Each has a plate above the foot of the next one."""
-    corner = [np.array([np.cos(a), np.sin(a), 0]) * 0.12 for a in 2 * np.pi * np.arange(3) / 3]
-    up, objects = np.array([0, 0, 0.2]), {}
-    for k, name in enumerate("abc"):
-        top, foot = corner[k] + up, corner[(k + 1) % 3]
-        plates = [trimesh.creation.box(extents=(0.16, 0.16, 0.01)) for _ in range(2)]
-        for plate, center in zip(plates, (top, foot), strict=True):
-            plate.apply_translation(center)
-        post = trimesh.creation.cylinder(0.005, segment=[top, foot])
-        mesh = trimesh.util.concatenate([*plates, post])
-        center = mesh.bounds.mean(axis=0)
-        mesh.apply_translation(-center)
-        objects[name] = mesh, upright(center, 0)
-    meshes = mesh_tree(scene_of_meshes(objects).spec)
-    parents = {node.name: node.parent for node in meshes.tree.nodes}
-    assert parents == {"floor": None, "c": "floor", "a": "c", "b": "a"}
-    assert "floor is added below what nothing carries: c" in meshes.notes
 
 
 def test_what_states_its_supports_is_refused():
@@ -286,16 +265,6 @@ def carried(size, offset=(0, 0, 0), yaw=0.0, below=0.2):
         "cube": (cube, upright(at, yaw)),
     }
     return scene_of_meshes(meshes).spec
-
-
-def test_the_box_of_an_object_off_its_origin_stands_below_the_object():
-    cube = scenes.single("cube", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    geom = cube.parts[0].geoms[0].model_copy(update={"pos": (0.05, 0.02, 0.0)})
-    part = cube.parts[0].model_copy(update={"geoms": (geom,)})
-    cube = cube.model_copy(update={"parts": (part,)})
-    item = SceneObject(name="cube", spec=cube, xy=(0.8, 0), z=0.15, yaw=np.pi / 2)
-    node = mesh_tree(SceneSpec(name="one", objects=(item,))).tree.node("cube")
-    assert node.box3d.position == pytest.approx((0.8 - 0.02, 0.05, 0.1), abs=1e-6)
 
 
 def test_the_alignment_gets_what_was_measured(monkeypatch):

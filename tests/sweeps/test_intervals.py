@@ -61,16 +61,3 @@ def test_paired_rates_cover_the_truth():
     # Ten runs of one scene each are not a hundred scenes.
     wide = rate_difference([True] * 100, [True] * 100, list(np.repeat(names(10), 10)))
     assert wide.high == pytest.approx(agreed.high)
-
-
-def test_the_interval_of_a_paired_difference_is_that_of_agresti_and_min():
-    """Half an observation in each of the four cells, so n + 2 pairs (Agresti and Min 2005)."""
-    b, c, n = 3, 1, 10
-    hits = [True] * b + [False] * c + [True] * 4 + [False] * 2
-    others = [False] * b + [True] * c + [True] * 4 + [False] * 2
-    center = (b - c) / (n + 2)
-    deviation = np.sqrt((b + c + 1) - (b - c) ** 2 / (n + 2)) / (n + 2)
-    found = rate_difference(hits, others, names(n))
-    assert found.mean == pytest.approx((b - c) / n)
-    assert found.low == pytest.approx(center - 1.959964 * deviation, abs=1e-6)
-    assert found.high == pytest.approx(center + 1.959964 * deviation, abs=1e-6)

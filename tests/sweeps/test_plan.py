@@ -143,8 +143,3 @@ def test_values_are_drawn_and_more_samples_keep_the_first_ones():
     assert [p.values[XY] for p in fewer[:10]] == [xy for xy, _ in drawn[:10]]
     other = points(Plan(axes=axes, samples=10, draw_seed=1))
     assert other[0].values[XY] != fewer[0].values[XY]
-
-
-def test_a_number_of_seeds_counts_from_zero():
-    assert read_plan({"seeds": 5}, Plan).seeds == (0, 1, 2, 3, 4)
-    assert read_plan({"seeds": [3]}, Ablation).seeds == (3,)

@@ -1,7 +1,6 @@
 """The report of a run: verdict, checks, objects, agreement with the photograph, damaged files."""
 
 import json
-import math
 import re
 from html.parser import HTMLParser
 
@@ -15,7 +14,6 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.measure import scene_checks, scene_measure
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
-from neoworld_mjx.view.report.objects import BOXES, REFINEMENT, SHAPES, all_moves
 from neoworld_mjx.view.report.run_report import write_report
 from tests.support import scenes
 
@@ -332,35 +330,3 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunError, match="not a run folder"):
         write_report(tmp_path)
-
-
-def test_changes_by_each_step_are_those_of_the_accepted_round_and_of_the_search(tmp_path):
-    def fit(place, scale=1.0, refused=""):
-        change = {"distance_m": place, "size_ratio": [scale] * 3, "yaw_deg": 0.0}
-        return change | {"refused": refused}
-
-    rounds = [
-        {"kept": False, "fit": {"objects": {"cup": fit(0.9)}}},
-        {"kept": True, "fit": {"objects": {"cup": fit(0.0123, 0.95), "jug": fit(0, 1, "gap")}}},
-    ]
-    (tmp_path / "parse.json").write_text(json.dumps({"rounds": rounds}))
-    (tmp_path / "compose").mkdir()
-    refit = {"objects": {"cup": fit(0.0004)}}
-    (tmp_path / "compose" / "fit.json").write_text(json.dumps(refit))
-    before = scenes.coffee()
-    cup = before.object("cup")
-    for change, words in (
-        ({"xy": (cup.xy[0] + 0.01, cup.xy[1]), "yaw": cup.yaw + 0.1}, "1.0 cm, +0.0 %, +5.7°"),
-        ({"base_tilt": (math.cos(0.1), math.sin(0.1), 0, 0)}, "0.0°, 11.5° with tilt"),
-        ({"xy": (cup.xy[0] + 0.0004, cup.xy[1])}, "unchanged"),
-    ):
-        moved = cup.model_copy(update=change)
-        objects = tuple(moved if o.name == "cup" else o for o in before.objects)
-        after = before.model_copy(update={"objects": objects})
-        (tmp_path / "compose" / "scene.json").write_text(before.to_json())
-        (tmp_path / "scene.json").write_text(after.to_json())
-        moves = all_moves(tmp_path)
-        assert moves["cup"][BOXES] == "1.2 cm, -5.0 %, +0.0°"
-        assert moves["cup"][SHAPES] == "unchanged"
-        assert moves["jug"][BOXES] == "unchanged: the fit was rejected"
-        assert moves["cup"][REFINEMENT].endswith(words)
