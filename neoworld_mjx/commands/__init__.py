@@ -61,7 +61,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "render": CommandEntry(
         ".picture_commands:RenderCommand",
-        "Render a scene or an object from the scene's or another camera, or as a turntable.",
+        "Render a scene or an object from the scene's or another camera.",
     ),
     "report": CommandEntry(
         ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
