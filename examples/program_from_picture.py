@@ -5,8 +5,8 @@
 The size is an estimate in metres: front to back, across, up. With a key in the environment a model
 responds; with `--provider mailbox` each request becomes a folder in OUT/mailbox that awaits a
 response.json (docs/models.md). The script writes program.py, program.json with all rounds,
-spec.json, and pictures of the closed and the opened object; `neoworld build OUT/program.py` exports
-it.
+spec.json, and pictures of the closed and the opened object; `neoworld export OUT/program.py --out
+DIR` exports it.
 """
 
 import argparse

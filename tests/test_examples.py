@@ -9,9 +9,6 @@ from neoworld_bench.photographs.example_runs import run_example
 from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.measure import measured, scene_checks
-from neoworld_mjx.mllm.provider import bundled_tapes
-from neoworld_mjx.mllm.replay import Tape
-from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples, photo_of
 from neoworld_mjx.program import build
@@ -112,26 +109,8 @@ def test_the_paper_replays_in_its_own_language(name, joints, calls, tmp_path):
     assert result.cost["calls"] == calls
 
 
-@pytest.mark.parametrize("name", sorted(bundled_examples()))
-def test_the_table_states_the_origin_of_a_tape(name):
-    tape = Tape.load(bundled_tapes() / f"{name}.tape.json")
-    stated = bundled_examples()[name].responses
-    assert {entry.model for entry in tape.answers.values()} <= {"by hand", "by hand, Blender"}
-    assert stated.by == "by hand, from the photograph"
-    assert (tape.date, tape.prompts) == (stated.date, stated.prompts)
-
-
 def test_an_example_is_named_or_given_by_its_file(tmp_path):
     example = bundled_examples()["microwave"]
     assert photo_of(example.photo) == photo_of(type(example.photo)("microwave")) == example.photo
     with pytest.raises(PhotoError, match="did you mean 'drawers'"):
         photo_of(type(example.photo)("drawer"))
-
-
-def test_a_folder_with_the_name_of_an_example_does_not_hide_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("coffee", "mine"):
-        (tmp_path / name).mkdir()
-    assert photo_of(Path("coffee")) == bundled_examples()["coffee"].photo
-    with pytest.raises(PhotoError, match="mine is a folder; give the file of one photograph"):
-        load_photo(photo_of(Path("mine")))

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from neoworld_mjx.config import Config, RefineOptions
+from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
@@ -24,7 +23,6 @@ from neoworld_mjx.pipeline import place, reconstruct, refine_again
 from neoworld_mjx.search.final_alignment import FinalAlignment
 from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from tests.support.example_figures import check_figures
-from tests.support.notebooks import run_small
 
 ROOT = Path(__file__).parents[1]
 OBJECTS = ["table", "saucer", "cup", "spoon"]
@@ -181,34 +179,6 @@ def test_another_process_gives_the_same_bytes(tmp_path, photo, example_run):
     assert len(files) > 30
     for path in files:
         assert (tmp_path / path).read_bytes() == (out / path).read_bytes(), path
-
-
-def test_the_readme_example_runs(example_run, tmp_path, monkeypatch, capsys):
-    """On the shared run and with its options; tests/test_docs.py runs it as it stands, slowly."""
-    shutil.copytree(example_run[0], tmp_path / "out")
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    monkeypatch.chdir(tmp_path)
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    code, count = re.subn(r"^config = load_config\(.*\)$", "config = CONFIG", code, flags=re.M)
-    assert count == 1
-    names = {"CONFIG": Config()}
-    exec(code, names)
-    printed = capsys.readouterr().out
-    assert printed.startswith("Result('out': ")
-    assert "objects: table, saucer, cup, spoon" in printed
-    assert np.isfinite(names["again"].history["reward"].max())
-
-
-def test_the_quickstart_notebook_runs_on_an_existing_run(example_run, photo, tmp_path):
-    shutil.copytree(example_run[0], tmp_path / "out")
-    changes = {
-        'Path("../examples/coffee.png")': "PHOTO",
-        'Path(tempfile.mkdtemp()) / "out"': "FOLDER",
-        "load_config(overrides=small)": "CONFIG, resume=True",
-    }
-    given = {"PHOTO": photo, "FOLDER": tmp_path / "out", "CONFIG": Config()}
-    ran = run_small("quickstart", changes, **given)
-    assert ran["result"].objects and ran["moved"] < 0.02
 
 
 @pytest.fixture(scope="module")

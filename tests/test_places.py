@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
-from neoworld_mjx.places import Place, check_place, run_in_worker, run_tasks
-from neoworld_mjx.run_folder import versions
+from neoworld_mjx.places import Place, check_place, run_tasks
 
 # Without an import: `places` sets Ray's environment before it imports Ray.
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra ray")
@@ -45,19 +44,6 @@ def test_this_process_yields_one_result_after_the_other():
     assert [next(results), next(results)] == [2, 4]
     with pytest.raises(SpecError, match="-1 is negative"):
         next(results)
-
-
-def test_threads_share_the_cores(monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 16)
-    assert Place(workers=0).processes == 8 and Place(workers=0).threads == 2
-    assert Place(workers=15).threads == 1 and Place(workers=1).threads == 16
-    assert Place(ray="local", workers=2, task_cores=3).threads == 3
-
-
-def test_a_worker_with_other_versions_is_refused():
-    returned = run_in_worker(squares, 2, versions() | {"jax": "0.0.1"})
-    assert isinstance(returned, RunError) and "this machine has 0.0.1" in str(returned)
-    assert run_in_worker(squares, 2, versions()) == [2, 4]
 
 
 @pytest.mark.parametrize("place", [Place(workers=-1), Place(task_gpus=-1), Place(task_cores=0)])

@@ -1,6 +1,5 @@
 """The release has one version, and its credits, workflows and containers name existing files."""
 
-import json
 import re
 import tomllib
 from pathlib import Path
@@ -12,7 +11,6 @@ import neoworld_mjx
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 
 ROOT = Path(__file__).parents[1]
-WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 
 
 def text_of(name):
@@ -44,39 +42,3 @@ def test_a_bundled_photograph_is_credited_with_its_licence(name):
         rf"^\| `{re.escape(example.photo.name)}` .*$", text_of("examples/README.md"), re.M
     )
     assert row.endswith(f"| {example.licence} |")
-
-
-def test_every_picture_beside_the_examples_is_credited():
-    pictures = {
-        path.name for path in (ROOT / "examples").iterdir() if path.suffix in (".png", ".jpg")
-    }
-    assert pictures == {example.photo.name for example in bundled_examples().values()}
-
-
-def test_workflows_run_the_repositorys_own_scripts():
-    commands = {
-        step["run"]
-        for path in WORKFLOWS
-        for job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].values()
-        for step in job["steps"]
-        if "run" in step
-    }
-    assert commands >= {".ci/run", ".ci/wheel", ".ci/run -m slow"}
-    for command in commands:
-        if command.startswith(".ci/"):
-            script = ROOT / command.split()[0]
-            assert script.stat().st_mode & 0o111, f"{script} cannot be executed"
-
-
-def test_the_container_runs_both_commands_of_the_readme():
-    install, *commands = re.search(r"## Two commands\n\n((?: {4}.*\n)+)", text_of("README.md"))[
-        1
-    ].split("\n    ")
-    assert install.strip() == "pip install uv" and len(commands) == 2
-    last = text_of("Dockerfile").rstrip().splitlines()[-1]
-    (_, _, script) = json.loads(last.removeprefix("CMD "))
-    assert script == " && ".join(command.strip() for command in commands)
-    devcontainer = json.loads(text_of(".devcontainer/devcontainer.json"))
-    assert (
-        ROOT / ".devcontainer" / devcontainer["build"]["dockerfile"]
-    ).resolve() == ROOT / "Dockerfile"

@@ -1,13 +1,11 @@
-import json
 import os
 import subprocess
 
-import numpy as np
 import pytest
 
 from neoworld_mjx.config import CEMOptions, Config, RefineOptions
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.run_folder import RunFolder, read_run, step_times
+from neoworld_mjx.run_folder import RunFolder, read_run
 
 
 def _two_steps(out, mode="new", *, text="tree", step=None):
@@ -165,44 +163,6 @@ def test_files_of_removed_objects_are_deleted(tmp_path):
     assert [path.name for path in (out / "objects").iterdir()] == ["cup"]
 
 
-def test_a_repeated_step_deletes_files_that_it_no_longer_writes(tmp_path):
-    out = tmp_path / "out"
-    for name in ("scene.xml", "scene.sdf"):
-        with RunFolder(out, Config(), "resume") as run:
-            with run.step("export", {"name": name}) as stage:
-                assert stage is not None
-                (stage / name).write_text(name)
-    assert not (out / "scene.xml").exists()
-    assert (out / "scene.sdf").exists()
-
-
-def test_a_step_that_writes_a_file_which_is_not_its_own_is_an_error(tmp_path):
-    """Otherwise, a run folder would list a file that its reader refuses."""
-    with pytest.raises(ValueError, match=r"step refine wrote photo\.png"):
-        with RunFolder(tmp_path / "out", Config()) as run, run.step("refine", {}) as stage:
-            assert stage is not None
-            (stage / "photo.png").write_text("")
-
-
-@pytest.mark.parametrize(
-    "name",
-    [b"bad\xff.png".decode(errors="surrogateescape"), "\U0001f375 é"],
-    ids=["not UTF-8", "not ASCII"],
-)
-def test_names_are_written_so_that_a_run_is_read_again(tmp_path, name):
-    with pytest.raises(RunError), RunFolder(tmp_path / "out", Config()) as run:
-        run.record("photo", name=name)
-        run.note("parse", f"{name} is dark", name)
-        raise RunError(f"cannot read {name}")
-    data = read_run(tmp_path / "out")
-    read_back = name.encode(errors="replace").decode()
-    assert data["photo"]["name"] == read_back
-    assert data["notes"][0]["why"] == read_back
-    assert data["error"].endswith(read_back)
-    with RunFolder(tmp_path / "out", Config(), "resume"):
-        pass
-
-
 @pytest.mark.parametrize("what", ["file", "foreign", "foreign run.json", "below a file"])
 def test_refused_folders_are_unchanged(tmp_path, what):
     out = tmp_path / "out"
@@ -242,22 +202,6 @@ def test_a_failed_step_leaves_no_file_and_sets_the_status(tmp_path):
     assert _two_steps(out, "resume") == ["parse", "compose"]
 
 
-def test_a_run_in_a_thread_that_ctrl_c_ends_is_interrupted(tmp_path):
-    """The thread of a page gets a RuntimeError from executors when the interpreter ends."""
-    with pytest.raises(RuntimeError), RunFolder(tmp_path / "out", Config()):
-        raise RuntimeError("cannot schedule new futures after interpreter shutdown")
-    data = read_run(tmp_path / "out")
-    assert (data["status"], data["error"]) == ("interrupted", "KeyboardInterrupt")
-
-
-def test_unknown_steps_list_the_choices(tmp_path):
-    with pytest.raises(RunError, match="did you mean 'refine'"):
-        RunFolder(tmp_path / "out", Config(), "redo", step="refin")
-    with RunFolder(tmp_path / "out", Config()) as run:
-        with pytest.raises(RunError, match="valid are: parse"), run.step("pars", {}):
-            pass
-
-
 def test_fallbacks_are_deleted_when_their_step_is_repeated(tmp_path):
     out = tmp_path / "out"
     with RunFolder(out, Config()) as run:
@@ -270,48 +214,6 @@ def test_fallbacks_are_deleted_when_their_step_is_repeated(tmp_path):
         with run.step("parse", {}), run.step("refine", {}):
             pass
     assert read_run(out)["fallbacks"] == [{"step": "parse", "what": "native", "why": "no GPU"}]
-
-
-def test_metrics_take_numpy_numbers_and_keep_run_json_strict(tmp_path):
-    with RunFolder(tmp_path / "out", Config()) as run:
-        run.record("metrics", depth=np.float32(0.5), drift=float("nan"), best=-np.inf)
-    text = (tmp_path / "out" / "run.json").read_text()
-    data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in run.json"))
-    assert data["metrics"] == {"depth": 0.5, "drift": None, "best": None}
-
-
-def test_the_time_of_parts_that_run_at_once_is_that_of_their_step(tmp_path, caplog):
-    awaited = [0.0]
-    with caplog.at_level("INFO"), RunFolder(tmp_path / "out", Config()) as run:
-        run.waited = lambda: awaited[0]
-        with run.concurrent("program"):
-            for name in ("program/cup", "program/spoon"):
-                run.begin(name)
-            awaited[0] = 5.0
-            for name in ("program/cup", "program/spoon"):
-                with run.step(name, {}):
-                    awaited[0] += 1.0
-        with run.step("compose", {}):
-            awaited[0] += 3.0
-        with run.step("compose/check", {}):
-            awaited[0] += 2.0
-    data = read_run(tmp_path / "out")
-    assert {step: waiting for step, (_, waiting) in step_times(data).items()} == {
-        "program": 7.0,
-        "compose": 5.0,
-    }
-    assert "seconds" not in data["steps"]["program/cup"]
-    messages = [record.message for record in caplog.records]
-    assert messages[:4] == [
-        "program/cup: started",
-        "program/spoon: started",
-        "program/cup: done",
-        "program/spoon: done",
-    ]
-    assert messages[4] == "program: done in 0.0 s and 7.0 s of waiting for models"
-    with RunFolder(tmp_path / "out", Config(), "resume") as run, run.concurrent("program"):
-        assert run.finished("program/cup", {})
-    assert read_run(tmp_path / "out")["concurrent"] == data["concurrent"]
 
 
 def test_a_full_file_system(tmp_path):

@@ -1,11 +1,9 @@
 """Output of commands in a terminal: short results, signals of programs, status line and log."""
 
-import io
 import logging
 
 import pytest
 
-from neoworld_mjx.commands.terminal import StatusLine
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build
@@ -58,52 +56,23 @@ def test_common_mistakes_get_a_hint(program, code, hint):
         assert len(signals) == 1
 
 
-def test_a_tuple_of_computed_numbers_is_accepted_and_counted_when_it_runs():
-    add = "p.add(box((0.1, 0.1, 0.1)), at=tuple({} for x in (0, 0, 0.05)), rgb={})\n"
-    computed = GOOD.replace("p.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n", "{}")
-    rgb = "tuple(0.9 * v for v in (1, 0.5, 0.2))"
-    built = build(computed.format(add.format("x + 0.01 * (x > 0)", rgb)))
-    assert built.ok and built.signals == ()
-    signal = build(computed.format(add.format("x", "tuple(v for v in (1, 0.5))"))).signals[0]
-    assert signal.code == "value" and signal.line == 4 and "3" in signal.message
-    # Other errors of the same program are reported as before.
-    assert build(computed.format(add.format("y", rgb))).signals[0].code == "type"
-
-
-def test_build_and_check_show_signals_in_one_format_and_what_was_printed(neoworld, tmp_path):
+def test_check_shows_signals_with_their_lines_and_what_was_printed(neoworld, tmp_path):
     program = tmp_path / "thing.py"
     program.write_text('print("size", 3)\n' + GOOD.replace("p.add", "p.ad"))
-    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
+    code, out, _ = neoworld("check", program)
     expected = f"{program}:5:1: error type: "
     assert code == 1 and out.splitlines()[0].startswith(expected)
     assert "\n    p.ad(box((0.1, 0.1, 0.1)), at=(0, 0, 0.05))\n    hint: did you mean" in out
-    for words in (("check", program), ("check", program, "-v"), ("build", program, "-v")):
-        place = () if words[0] == "check" else ("--out", tmp_path / "out")
-        code, again, _ = neoworld(*words, *place)
-        assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
+    code, again, _ = neoworld("check", program, "-v")
+    assert code == 1 and again.splitlines()[0] == out.splitlines()[0]
+    code, _, message = neoworld("export", program, "--out", tmp_path / "out")
+    assert code == 2 and "p.ad" not in message and "did you mean" not in message
+    assert not (tmp_path / "out").exists()
     program.write_text('print("size", 3)\n' + GOOD)
-    code, out, _ = neoworld("build", program, "--out", tmp_path / "out")
-    assert code == 0
-    assert out.splitlines() == ["thing.py printed: size 3", f"built: thing in {tmp_path / 'out'}"]
     code, out, _ = neoworld("check", program)
     assert code == 0 and "unknown" not in out
+    assert out.splitlines()[0] == "thing.py printed: size 3"
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
-
-
-@pytest.mark.parametrize(
-    ("options", "lines"),
-    [({}, ["careful"]), ({"verbose": True}, ["begun", "careful"]), ({"quiet": True}, [])],
-)
-def test_progress_is_printed_only_if_verbose(options, lines):
-    stream = io.StringIO()
-    line = StatusLine(stream, **options)
-    for name, level, text in (
-        ("neoworld_mjx.progress", logging.INFO, "begun"),
-        ("neoworld_mjx.progress", logging.DEBUG, ""),
-        ("neoworld_mjx.x", logging.WARNING, "careful"),
-    ):
-        line.handle(logging.LogRecord(name, level, "", 0, text, None, None))
-    assert stream.getvalue().splitlines() == lines
 
 
 def test_a_run_keeps_its_log_and_its_outcome(tmp_path):

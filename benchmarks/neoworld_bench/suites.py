@@ -15,7 +15,7 @@ from tyro.conf import Positional
 from neoworld_mjx.engines import ENGINES, EngineChoice, EngineName
 from neoworld_mjx.places import Place
 
-NoiseName = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
+NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
 EvidenceName = Literal[
     "fov", "exif", "pose", "depth", "affine", "disparity", "masks", "second", "stereo"
@@ -118,8 +118,7 @@ class SceneSet(NoisyRuns):
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and
-    joints; dimensions: layout, and every edge of every program wrong by 10 %; all: parse and
-    programs."""
+    joints; all: parse and programs."""
     submission: Path | None = None
     """Folder of another method's scenes to score instead of running methods: SCENE/scene.json,
     scene.xml, scene.glb, or meshes with a poses.json (docs/benchmark.md)."""

@@ -42,10 +42,6 @@ COMMANDS: dict[str, CommandEntry] = {
         ".object_commands:CheckCommand",
         "Check a scene or an object, and print each check with its value and threshold.",
     ),
-    "build": CommandEntry(
-        ".object_commands:BuildCommand",
-        "Convert an object's program, URDF or MJCF file into every format and images.",
-    ),
     "template": CommandEntry(
         ".object_commands:TemplateCommand",
         "List the object templates, or write the program of one.",
@@ -65,7 +61,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "render": CommandEntry(
         ".picture_commands:RenderCommand",
-        "Render a scene or an object from the scene's or another camera, or as a turntable.",
+        "Render a scene or an object from the scene's or another camera.",
     ),
     "report": CommandEntry(
         ".run_commands:ReportCommand", "Write report.html of a run, finished or not."

@@ -87,29 +87,6 @@ class ConfiguredCommand(Command):
         return config
 
 
-@dataclass(frozen=True, kw_only=True)
-class AssetCommand(ConfiguredCommand):
-    """Options of commands that read assets of other programs."""
-
-    package: UseAppendAction[tuple[str, ...]] = ()
-    """Folder of a ROS package as NAME=FOLDER, for URIs package://NAME/...; repeatable."""
-
-    def load_config(self, flags: dict[str, Any] | None = None) -> "Config":
-        """Load the configuration, and use the packages."""
-        from ..export.asset_files import set_packages
-
-        folders = {}
-        for text in self.package:
-            name, _, folder = text.partition("=")
-            if not name or not Path(folder or " ").is_dir():
-                raise ConfigError(
-                    f"--package takes NAME=FOLDER of an existing folder, got {text!r}"
-                )
-            folders[name] = Path(folder).resolve()
-        set_packages(folders)
-        return super().load_config(flags)
-
-
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
     *path, last = key.split(".")
     for name in path:

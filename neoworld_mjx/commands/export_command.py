@@ -8,7 +8,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
 from ..names import FORMATS, PREFERRED_FORMATS, Format, Simulator
-from .base_command import AssetCommand, CommandResult
+from .base_command import CommandResult, ConfiguredCommand
 from .result_lines import export_lines
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(AssetCommand):
+class ExportCommand(ConfiguredCommand):
     """Export a scene or an object to a format or for a simulator, and list what is lost."""
 
     target: Positional[Path]
@@ -28,8 +28,8 @@ class ExportCommand(AssetCommand):
     """Format to write; repeatable. Default: all."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
     """Simulator for which files are written, by default in the formats that suit it best. For mjx,
-    colliders are converted to supported ones. For newton and isaac, a layer newton.usda or
-    isaac.usda is written in addition to the USD file, with this simulator's contacts and joints."""
+    colliders are converted to supported ones. For newton, a layer newton.usda is written in
+    addition to the USD file, with this simulator's contacts and joints."""
     floor: bool = False
     """Add an infinite floor plane at z = 0, or below the lowest free object (MJCF)."""
     overwrite: bool = False

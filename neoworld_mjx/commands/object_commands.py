@@ -1,4 +1,4 @@
-"""Commands `check`, `build` and `template`, for objects and scenes."""
+"""Commands `check` and `template`, for objects and scenes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,17 +9,16 @@ from tyro.conf import Positional, UseAppendAction
 
 from ..errors import RunError, SpecError
 from ..quantities import count
-from .base_command import AssetCommand, Command, CommandResult
-from .result_lines import MAX_REASONS, object_check_lines, scene_check_lines, wrapped
+from .base_command import Command, CommandResult, ConfiguredCommand
+from .result_lines import object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
     from ..config import Config
-    from ..program import BuildResult
     from ..spec import SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCommand(AssetCommand):
+class CheckCommand(ConfiguredCommand):
     """Check a scene or an object, and print each check with its value and threshold.
 
     A run folder is checked with the options of the run, unless --config or --set is given.
@@ -116,76 +115,6 @@ class CheckCommand(AssetCommand):
         return object_check_lines(result, _listings(Path(result["target"]), result))
 
 
-@dataclass(frozen=True, kw_only=True)
-class BuildCommand(AssetCommand):
-    """Convert an object's program, URDF or MJCF file into every format and images."""
-
-    program: Positional[Path]
-    """The program (.py), or a URDF or MJCF file with one object."""
-    out: Path
-    """Output folder, new or empty."""
-    overwrite: bool = False
-    """Allow an output folder that is not empty."""
-
-    def run(self) -> CommandResult:
-        """Build the program and write the object in every format."""
-        from ..verify.checking import build_patched, write_built
-
-        out = self.out
-        if out.exists() and not out.is_dir():
-            raise RunError(f"{out} is a file; name a folder")
-        if out.is_dir() and any(out.iterdir()) and not self.overwrite:
-            raise RunError(f"{out} is not empty: name a new folder, or use --overwrite")
-        options = self.load_config().program
-        if self.program.suffix.lower() != ".py":
-            return self._convert()
-        patched = build_patched(self.program, options)
-        built = patched.built
-        result: CommandResult = {"passed": built.ok, "signals": _signals(built)}
-        if built.printed:
-            result["printed"] = built.printed
-        if built.spec is None or not built.ok:
-            return result
-        if patched.patch is not None:
-            result["overlay"] = {
-                "changes": list(patched.patch.changes()),
-                "stale": list(patched.stale),
-            }
-        write_built(patched, out)
-        return {"object": built.spec.name, "folder": str(out), **result}
-
-    def lines(self, result: CommandResult) -> list[str]:
-        """Return a short summary of the result."""
-        if "builds" in result:
-            return [f"builds: {result['builds']}", f"folder: {result['folder']}"]
-        rows = _listings(self.program, result)
-        if result["passed"]:
-            rows.append(f"built: {result['object']} in {result['folder']}")
-            rows += [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
-        else:
-            rows.append("not built: see the errors above")
-        if "picture" in result:
-            rows.append(f"picture: {result['picture']}")
-        return rows
-
-    def _convert(self) -> CommandResult:
-        """Convert a URDF or MJCF file."""
-        from ..verify.checking import import_object, spec_files, write_files
-
-        imported = import_object(self.program)
-        write_files(spec_files(imported.spec), self.out)
-        return {
-            "object": imported.spec.name,
-            "folder": str(self.out),
-            "passed": True,
-            "notes": list(imported.notes),
-        }
-
-
-def _signals(built: "BuildResult") -> list[dict[str, Any]]:
-    return [{"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals]
-
-
 def _listings(program: Path, result: CommandResult) -> list[str]:
     """Format the output and the signals of a program."""
     from ..checks.signals import Signal
@@ -204,7 +133,7 @@ class TemplateCommand(Command):
     name: Positional[str | None] = None
     """Name of the template. Without a name, all templates are listed."""
     out: Path | None = None
-    """Output file (.py) for the program; `neoworld build` builds the object."""
+    """Output file (.py) for the program; `neoworld check` builds the object."""
     seed: int | None = None
     """Seed for sampling all parameters from their ranges. Without it, parameters keep their
     defaults."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import AssetCommand, Command, CommandResult, ConfiguredCommand
+from .base_command import Command, CommandResult, ConfiguredCommand
 from .evidence_flags import EvidenceFlags
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 LARGEST_PX = 8192
 """Maximum side of a request's photograph, which is not resized again [px]."""
-Point = tuple[float, float, float]
 AZIMUTH_DEG, ELEVATION_DEG = 215.0, 28.0
 """Default direction of the camera, slightly to the side of the photograph's camera."""
 
@@ -77,13 +76,13 @@ class PreviewCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(AssetCommand):
-    """Render a scene or an object from the scene's or another camera, or as a turntable."""
+class RenderCommand(ConfiguredCommand):
+    """Render a scene or an object from the scene's or another camera."""
 
     target: Positional[Path]
     """A run folder, scene.json, object's folder, program (.py), or URDF, MJCF or glTF file."""
     out: Path | None = None
-    """Output file, by default render.png next to the target; .gif or .webp with --turntable."""
+    """Output file, by default render.png next to the target."""
     width: int | None = None
     """Width of the image [px]."""
     azimuth: float | None = None
@@ -92,18 +91,10 @@ class RenderCommand(AssetCommand):
     """Elevation of the camera [deg]."""
     object: UseAppendAction[tuple[str, ...]] = ()
     """Object that the camera frames; repeatable. Default: all objects except the environment."""
-    eye: Point | None = None
-    """Position of the camera [m], instead of --azimuth and --elevation."""
-    look_at: Point | None = None
-    """Target point of the camera at --eye [m]; by default the center of the objects."""
     fovy: float | None = None
     """Vertical field of view [deg]."""
     open: float | None = None
     """Position of every joint with limits, as a fraction of the joint's range, from 0 to 1."""
-    turntable: bool = False
-    """Render an animation of --frames frames around the objects."""
-    frames: int = 36
-    """Number of frames of the turntable."""
 
     def run(self) -> CommandResult:
         """Render the scene."""
@@ -115,61 +106,17 @@ class RenderCommand(AssetCommand):
         config = self.load_config()
         options = config.render
         scene = open_target(self.target, config).after
-        out = self.out or self._default_path("turntable.gif" if self.turntable else "render.png")
+        out = self.out or self._default_path("render.png")
         check_output(out, RunError)
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
             scene = with_open_joints(scene, self.open)
         width = self.width or options.width
-        if self.turntable:
-            data, size = self._turntable(scene, width, options.supersample, out.suffix.lower())
-        else:
-            view = self._camera(scene, width)
-            image = render_scene(scene, view, width=width, supersample=options.supersample)
-            data = to_png(image)
-            size = [image.color.shape[1], image.color.shape[0]]
-        write_output(out, data, RunError)
-        frames = {"frames": self.frames} if self.turntable else {}
-        return {"picture": str(out), "size": size, **frames}
-
-    def _turntable(
-        self, scene: "SceneSpec", width: int, supersample: int, suffix: str
-    ) -> tuple[bytes, list[int]]:
-        """Return the encoded animation and its size in pixels."""
-        import numpy as np
-
-        from ..progress import update
-        from ..render.scene_images import (
-            FORMATS,
-            around,
-            encode_animation,
-            subject_points,
-            turntable,
-        )
-
-        if suffix not in FORMATS:
-            raise SpecError(f"--out {self.out}: a turntable is written as {' or '.join(FORMATS)}")
-        if not 2 <= self.frames <= 360:
-            raise SpecError(f"--frames: got {self.frames}, valid is from 2 to 360")
-        if self.eye is not None or self.look_at is not None:
-            raise SpecError("--turntable cannot be combined with --eye and --look-at")
-        first, elevation, fovy = self._angles()
-        size = [width, round(width * 2 / 3)]
-        views = around(
-            subject_points(scene, self.object),
-            first + np.linspace(0, 2 * np.pi, self.frames, endpoint=False),
-            elevation,
-            width=size[0],
-            height=size[1],
-            fovy=fovy,
-        )
-        frames = []
-        for frame in turntable(scene, views, supersample=supersample):
-            frames.append(frame)
-            update(step="render", done=len(frames), of=self.frames, unit="frames")
-        pause_ms = max(20, round(4000 / self.frames))
-        return encode_animation(frames, pause_ms, suffix), size
+        view = self._camera(scene, width)
+        image = render_scene(scene, view, width=width, supersample=options.supersample)
+        write_output(out, to_png(image), RunError)
+        return {"picture": str(out), "size": [image.color.shape[1], image.color.shape[0]]}
 
     def _camera(self, scene: "SceneSpec", width: int) -> "Camera | View | None":
         """Return the camera that the flags define; None for the scene's camera."""
@@ -178,25 +125,18 @@ class RenderCommand(AssetCommand):
 
         azimuth, elevation, fovy = self._angles()
         directed = self.azimuth is not None or self.elevation is not None
-        if self.eye is None and self.look_at is not None:
-            raise SpecError("--look-at requires --eye")
-        if self.eye is not None and directed:
-            raise SpecError("--eye cannot be combined with --azimuth and --elevation")
-        if not (self.object or directed or self.eye):
+        if not (self.object or directed):
             if self.fovy is None or scene.camera is None:
                 return None
             return scene.camera.model_copy(update={"fovy": fovy})
-        points = subject_points(scene, self.object)
-        height = round(width * 2 / 3)
-        if self.eye is None:
-            return View.framing(
-                points, width=width, height=height, azimuth=azimuth, elevation=elevation, fovy=fovy
-            )
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2
-        target = middle if self.look_at is None else self.look_at
-        if math.dist(self.eye, target) < 1e-6:
-            raise SpecError("--eye and its target are the same point")
-        return View.look_at(self.eye, target, width=width, height=height, fovy=fovy)
+        return View.framing(
+            subject_points(scene, self.object),
+            width=width,
+            height=round(width * 2 / 3),
+            azimuth=azimuth,
+            elevation=elevation,
+            fovy=fovy,
+        )
 
     def _angles(self) -> tuple[float, float, float]:
         """Return azimuth, elevation and field of view [rad]."""
@@ -237,7 +177,7 @@ class PageCommand(ConfiguredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewCommand(PageCommand, AssetCommand):
+class ViewCommand(PageCommand):
     """Show a scene or an object in the browser, with its joints and in free fall."""
 
     target: Positional[Path]

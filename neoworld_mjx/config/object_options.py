@@ -195,11 +195,6 @@ class AlignOptions(Options):
         "once more, at the tilts at which they rest. The result is used if it passes the final "
         "check. Requires `contours`.",
     )
-    dimensions: bool = option(
-        False,
-        "If the outline of an object contradicts its proportions, change named constants of its "
-        "program one by one, and align again.",
-    )
 
     @property
     def aligns_again(self) -> bool:

@@ -293,7 +293,7 @@ def _result(
             edges=problem.edges is not None,
         ),
         views=_views(unknowns, now),
-        fitted=FittedUnknowns(unknowns, x, equations.shape_evidence()),
+        fitted=FittedUnknowns(unknowns, x),
     )
 
 

@@ -18,7 +18,6 @@ from jaxtyping import Float
 from ..spec import Camera, SceneSpec
 from ..spec.scene import PoseUncertainty
 from .camera_evidence import CameraEstimate
-from .contours import ShapeEvidence
 from .open_joints import OpenJoint
 from .priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
 from .unknowns import CAMERA, EACH, STRETCH, TILT, Placement, Unknowns
@@ -118,37 +117,6 @@ class FittedUnknowns:
 
     unknowns: Unknowns
     x: Float[np.ndarray, " u"]
-    shapes: dict[int, ShapeEvidence]
-    """Contour evidence on the proportions of each object, by index; objects without contour
-    evidence are missing."""
-
-
-@dataclass(frozen=True)
-class DimensionEdit:
-    """Change of a named constant of an object's program."""
-
-    constant: str
-    before: float
-    after: float
-
-
-@dataclass(frozen=True)
-class FreedObject:
-    """Changes of the dimensions of an object's program."""
-
-    edits: tuple[DimensionEdit, ...]
-    outline_before_px: float | None = None
-    """Distance of the object's outline from the photograph's before the change; see
-    `outline_errors`."""
-    outline_after_px: float | None = None
-
-    def phrase(self) -> str:
-        """Return the changes in one line."""
-        edits = [f"{e.constant} {e.before:.4g} -> {e.after:.4g}" for e in self.edits]
-        if self.outline_before_px is not None and self.outline_after_px is not None:
-            px = self.outline_before_px, self.outline_after_px
-            edits.append("outline {:.1f} -> {:.1f} px".format(*px))
-        return ", ".join(edits)
 
 
 @dataclass(frozen=True)
@@ -169,9 +137,6 @@ class Alignment:
     failure: str = ""
     """Reason why the alignment failed, in which case `scene` is the composed scene; empty if it did
     not fail."""
-    dimensions: dict[str, FreedObject] = field(default_factory=dict)
-    """Changes of the dimensions in programs, by object; empty unless `compose.align.dimensions` is
-    set."""
     views: dict[str, ViewOutcome] = field(default_factory=dict)
     """Further photographs, by their names."""
     fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
@@ -218,8 +183,6 @@ class Alignment:
             if not view.reason:
                 what = f"it shows {view.objects} objects from {view.turn_deg:.0f} deg aside"
                 yield f"{name} is used for the layout", what
-        for name, freed in self.dimensions.items():
-            yield f"{name} has other dimensions than its program", freed.phrase()
 
     def to_json(self) -> dict[str, Any]:
         """Return the changes as JSON data, without the scene."""
@@ -240,14 +203,7 @@ class Alignment:
                 }
                 for name, change in self.objects.items()
             },
-            **({"dimensions": self._dimensions()} if self.dimensions else {}),
             **({"views": {n: v.to_json() for n, v in self.views.items()}} if self.views else {}),
-        }
-
-    def _dimensions(self) -> dict[str, Any]:
-        return {
-            name: asdict(freed) | {"phrase": freed.phrase()}
-            for name, freed in self.dimensions.items()
         }
 
 

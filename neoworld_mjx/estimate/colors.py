@@ -317,7 +317,7 @@ def is_supported(
 
     A mask that is almost equal to the other one is supported. Arguments are as for `gain`.
     """
-    ratio = _log_ratio(now, other, bins)
+    ratio = gain(now, other, bins)
     return ratio is None or ratio >= LEAST_GAIN * int((now != other).sum())
 
 
@@ -330,7 +330,7 @@ def gain(
     now: Bool[np.ndarray, "row column"],
     other: Bool[np.ndarray, "row column"],
     bins: Int[np.ndarray, "row column"],
-) -> float:
+) -> float | None:
     """Return the log likelihood ratio of two masks of an object, given the photograph's colors.
 
     The object's colors are estimated from the pixels in both masks, the background's colors from
@@ -343,18 +343,9 @@ def gain(
 
     Returns:
         The ratio [nats], assuming independent pixels; positive if `now` explains the photograph
-        better than `other`. It is 0 if the masks are almost equal, and minus infinity if too few
+        better than `other`. It is None if the masks are almost equal, and minus infinity if too few
         pixels are in both masks or around them.
     """
-    return _log_ratio(now, other, bins) or 0.0
-
-
-def _log_ratio(
-    now: Bool[np.ndarray, "row column"],
-    other: Bool[np.ndarray, "row column"],
-    bins: Int[np.ndarray, "row column"],
-) -> float | None:
-    """Return the value of `gain`, or None if the masks are almost equal."""
     union = now | other
     if not union.any():
         return None

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from ..spec import Box2D, Camera
 from .colors import LabImage, color_models
 from .contacts import ContactGaps
-from .contours import ShapeEvidence, contour, displacements
+from .contours import contour, displacements
 from .rasterize import DrawnObjects, pixels_of, window_of
 from .unknowns import CAMERA, STEP, STRETCH, Placement, Unknowns
 
@@ -468,29 +468,6 @@ class NormalEquations:
     def covariance(self) -> Float[np.ndarray, "u u"]:
         """Return the covariance of the unknowns; contacts are ignored."""
         return np.linalg.inv(self._precision)[: len(self._x), : len(self._x)]
-
-    def shape_evidence(self) -> dict[int, ShapeEvidence]:
-        """Return the evidence about the stretches of each object with contour evidence, by index.
-
-        The evidence comes from contours and 2D boxes. All other unknowns are marginalized, and
-        contacts are ignored.
-        """
-        covariance = np.linalg.inv(self._precision)
-        estimate = covariance @ self._gradient
-        found = {}
-        for k in self.with_contour:
-            # The first stretches are those of the object itself, not of the parts that its joints
-            # move.
-            rows = np.array(self._unknowns.stretch_columns(k)[:STRETCH])
-            block = np.ix_(rows, rows)
-            precision = np.linalg.inv(covariance[block])
-            found[k] = ShapeEvidence(
-                precision - self._prior[block],
-                precision @ estimate[rows],
-                covariance[: len(self._x), rows] @ precision,
-                estimate[rows],
-            )
-        return found
 
     def _block(self, k: int, evidence: LinearEvidence) -> "_Block":
         size = len(self._x)

@@ -1,15 +1,14 @@
 """Finds and reads the untrusted files of an asset: its XML, and the files that it refers to.
 
-An asset may refer to files below its root (`asset_root`), and below the folders of packages that
-the user names (`set_packages`). Readers call these functions in a limited worker
-(`io.limited_worker`), which bounds the memory and the time that a file takes.
+An asset may refer to files below its root (`asset_root`), and below packages beside it. Readers
+call these functions in a limited worker (`io.limited_worker`), which bounds the memory and the time
+that a file takes.
 """
 
 import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from contextvars import ContextVar
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from urllib.parse import unquote
@@ -28,17 +27,6 @@ INNER_FOLDERS = frozenset({"urdf", "xacro", "robots", "robot", "mjcf", "xml", "m
 """Folders of descriptions, which lie beside the folder of meshes in packages."""
 MAX_LEVELS = 3
 """Largest number of folders between a file and the root folder of its package."""
-_packages: ContextVar[Mapping[str, Path] | None] = ContextVar("packages", default=None)
-
-
-def set_packages(folders: Mapping[str, Path]) -> None:
-    """Let `package://NAME` mean the folder of NAME in the current context."""
-    _packages.set(dict(folders))
-
-
-def named_packages() -> Mapping[str, Path]:
-    """Return the folder of each package that `set_packages` names, by name."""
-    return _packages.get() or {}
 
 
 def read_xml(path: Path) -> ET.Element:
@@ -127,15 +115,16 @@ def inside(path: Path, reference: str) -> Path:
     neighbor = root.parent / name
     # A workspace keeps its packages beside each other.
     beside = name not in ("", "..") and (neighbor / MANIFESTS[0]).is_file()
-    folder = named_packages().get(name, neighbor if beside else None)
-    if folder is not None:
-        return inside_any(path, [str(folder / within)], reference, [folder])
+    if beside:
+        return inside_any(path, [str(neighbor / within)], reference, [neighbor])
     # The name of the package may, but need not, be the name of a folder.
     candidates = [rest, str(root / rest), within, str(root / within)]
     try:
         return inside_any(path, candidates, reference)
     except SpecError as error:
-        raise SpecError(f"{error}; --package {name}=FOLDER names the folder of {name}") from None
+        raise SpecError(
+            f"{error}; copy the package {name}, with its package.xml, beside {root}"
+        ) from None
 
 
 def inside_any(
@@ -165,7 +154,7 @@ def inside_any(
     ]
     # An absolute candidate replaces the folder, and is refused unless it is below a root.
     targets = [Path(os.path.join(folder, spelling)).resolve() for spelling in spellings]
-    roots = [root, *(Path(given).resolve() for given in (*folders, *named_packages().values()))]
+    roots = [root, *(Path(given).resolve() for given in folders)]
     if not all(any(target.is_relative_to(r) for r in roots) for target in targets):
         raise SpecError(f"{path} names {reference!r}, which lies outside its folder {root}")
     existing = [target for target in targets if target.is_file()]

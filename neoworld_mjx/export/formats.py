@@ -20,7 +20,7 @@ from ..spec import (
     pieces,
     world_poses,
 )
-from .usd_layers import isaac_text, newton_text
+from .usd_layers import newton_text
 from .write_drives import drives_text
 from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
 from .write_mjcf import mjcf_text
@@ -32,10 +32,6 @@ from .write_usd import usd_layer
 SceneOrObject = SceneSpec | ObjectSpec
 RUN_FORMATS: tuple[Format, ...] = ("mjcf", "urdf", "usd", "sdf")
 """Formats of a run folder, which contains USD as text."""
-LAYERS: dict[Simulator, Callable[[SceneOrObject, str], str]] = {
-    "newton": newton_text, "isaac": isaac_text,
-}  # fmt: skip
-"""Functions that return a USD layer with the settings of a simulator, by simulator."""
 Holds = Callable[[SceneOrObject], bool]
 
 
@@ -148,7 +144,7 @@ def write_formats(
         out: the folder.
         kinds: the formats.
         simulator: simulator that will load the files: "mjx" restricts MJCF to colliders that MJX
-            supports; "newton" and "isaac" add a USD layer, newton.usda or isaac.usda.
+            supports; "newton" adds a USD layer, newton.usda.
         floor: if True, MJCF contains an infinite floor at z = 0, or lower if a free object reaches
             lower.
 
@@ -156,9 +152,8 @@ def write_formats(
         ExportError: a file cannot be written.
     """
     files = _files(described, kinds, mjx=simulator == "mjx", floor=floor)
-    if simulator in LAYERS and "usd" in kinds:
-        text = LAYERS[simulator](described, f"{_stem(described)}.usdc")
-        files[f"{simulator}.usda"] = text.encode()
+    if simulator == "newton" and "usd" in kinds:
+        files["newton.usda"] = newton_text(described, f"{_stem(described)}.usdc").encode()
     _write(files, out)
     return sorted(files)
 

@@ -1,7 +1,7 @@
 """Reads the nodes, meshes and colors of untrusted glTF 2.0 files.
 
-Accessors may be normalized, quantized or sparse; morph targets and skins are applied as the file
-poses them. Compressed meshes (Draco, meshopt) are refused.
+Accessors may be normalized or quantized. Compressed meshes (Draco, meshopt), sparse accessors,
+skins and morph targets are refused.
 """
 
 import base64
@@ -61,7 +61,7 @@ def read_gltf_file(path: Path) -> GltfFile:
     document = json.loads(data)
     if not str(document.get("asset", {}).get("version", "2")).startswith("2"):
         raise SpecError(f"{path} is glTF {document['asset']['version']}; only glTF 2.0 is read")
-    used = set(document.get("extensionsUsed", ())) & set(COMPRESSED)
+    used = (set(document.get("extensionsUsed", ())) & set(COMPRESSED)) | _refused(document)
     required = {e for e in document.get("extensionsRequired", ()) if not str(e).startswith(READ)}
     if used | required:
         names = ", ".join(sorted(map(str, used | required)))
@@ -70,6 +70,17 @@ def read_gltf_file(path: Path) -> GltfFile:
             "expand it (for example by `gltf-transform copy IN.glb OUT.glb`)"
         )
     return GltfFile(path, document, binary)
+
+
+def _refused(document: dict[str, Any]) -> set[str]:
+    """Return the features of a document without which its meshes would be wrong, by name."""
+    moved = [*document.get("nodes", ()), *document.get("meshes", ())]
+    found = {
+        "skins": any("skin" in row for row in moved),
+        "morph targets": any(any(row.get("weights", ())) for row in moved),
+        "sparse accessors": any("sparse" in row for row in document.get("accessors", ())),
+    }
+    return {name for name, used in found.items() if used}
 
 
 def parents_of(file: GltfFile) -> dict[int, int]:
@@ -154,7 +165,6 @@ def node_surfaces(file: GltfFile, node: int, notes: list[str]) -> list[Surface]:
     if "mesh" not in row:
         return []
     mesh = file.rows("meshes")[row["mesh"]]
-    weights = row.get("weights", mesh.get("weights", ()))
     result = []
     for primitive in mesh["primitives"]:
         if "POSITION" not in primitive["attributes"]:
@@ -164,11 +174,6 @@ def node_surfaces(file: GltfFile, node: int, notes: list[str]) -> list[Surface]:
             notes.append("points and lines are not imported")
             continue
         vertices = accessor(file, primitive["attributes"]["POSITION"]).astype(float)
-        for weight, target in zip(weights, primitive.get("targets", ()), strict=False):
-            if weight and "POSITION" in target:
-                vertices = vertices + weight * accessor(file, target["POSITION"])
-        if "skin" in row:
-            vertices = _skinned(file, node, primitive["attributes"], vertices)
         if not np.isfinite(vertices).all() or faces.max(initial=-1) >= len(vertices):
             raise ValueError("a face refers to a missing vertex, or a vertex is not finite")
         result.append(_with_material(file, primitive, Surface(vertices, faces), notes))
@@ -210,17 +215,6 @@ def accessor(file: GltfFile, index: int) -> NDArray:
         raise ValueError("an accessor without data is too large")
     else:
         values = np.zeros((size, width), _TYPES[kind])
-    if "sparse" in row:
-        sparse = row["sparse"]
-        at, new = sparse["indices"], sparse["values"]
-        number = int(sparse["count"])
-        where = _values(
-            file, at["bufferView"], at.get("byteOffset", 0), at["componentType"], 1, number
-        )
-        values = values.copy()
-        values[where[:, 0]] = _values(
-            file, new["bufferView"], new.get("byteOffset", 0), kind, width, number
-        )
     if row.get("normalized") and values.dtype.kind in "iu":
         return np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)
     return values
@@ -249,27 +243,6 @@ def _linked(file: GltfFile, uri: str) -> bytes:
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2])
     return asset_bytes(inside(file.path, uri))
-
-
-def _skinned(file: GltfFile, node: int, attributes: dict[str, int], points: NDArray) -> NDArray:
-    """Return vertices that the joints of a skin move, in the frame of the node."""
-    skin, parents = file.rows("skins")[file.rows("nodes")[node]["skin"]], parents_of(file)
-    joints = np.array([node_matrix(file, parents, joint) for joint in skin["joints"]])
-    if "inverseBindMatrices" in skin:
-        inverse = accessor(file, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
-        joints = joints @ inverse.transpose(0, 2, 1)[: len(joints)]
-    if "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
-        return points
-    index = accessor(file, attributes["JOINTS_0"]).astype(int)
-    weights = np.asarray(accessor(file, attributes["WEIGHTS_0"]), float)
-    weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    world = np.zeros((len(points), 3))
-    for k in range(index.shape[1]):
-        matrix = joints[index[:, k]]
-        local = np.einsum("nij,nj->ni", matrix[:, :3, :3], points) + matrix[:, :3, 3]
-        world += weights[:, k : k + 1] * local
-    to_node = np.linalg.inv(node_matrix(file, parents, node))
-    return world @ to_node[:3, :3].T + to_node[:3, 3]
 
 
 def _with_material(

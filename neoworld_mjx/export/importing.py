@@ -4,7 +4,6 @@ Readers of these formats return mechanisms, which are converted to ObjectSpecs w
 omissions. All files are read in a limited worker.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from ..spec import (
     SceneSpec,
 )
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
-from .asset_files import named_packages, read_xml, set_packages
+from .asset_files import read_xml
 from .gltf_file import GLTF
 from .load_mesh import SUFFIXES as MESHES
 from .mechanism import (
@@ -81,7 +80,6 @@ def import_file(path: Path) -> Imported | ImportedScene:
     """Read a URDF or MJCF file: an object if the file contains only one, otherwise a scene.
 
     A glTF file (`read_gltf`), a mesh or a poses.json (`read_mesh_scene`) is always read as a scene.
-    URIs package://NAME/... may refer to the folders of `asset_files.set_packages`.
 
     Raises:
         SpecError: the format is not supported, or the file is broken or hostile, refers to a file
@@ -89,7 +87,7 @@ def import_file(path: Path) -> Imported | ImportedScene:
     """
     path = Path(path)
     try:
-        read = call_limited(_read, path, named_packages(), needs=MESH_READERS)
+        read = call_limited(_read, path, needs=MESH_READERS)
         if isinstance(read, MeshScene):
             scene = scene_of_assemblies(path, read.objects)
             return replace(scene, camera=read.camera, in_camera=read.in_camera)
@@ -102,9 +100,8 @@ def import_file(path: Path) -> Imported | ImportedScene:
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path, packages: Mapping[str, Path]) -> MeshScene | FileScene:
+def _read(path: Path) -> MeshScene | FileScene:
     """Read all objects of a file, and the camera that the file states."""
-    set_packages(packages)
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
     if path.name == POSES:

@@ -46,14 +46,11 @@ def compose_scene(context: StepContext) -> None:
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
-    pictures/depth.png. If `compose.align.dimensions` is set, it also writes each changed
-    program.py, with the spec.json that it builds. The scene's picture is rendered in the
-    background.
+    pictures/depth.png. The scene's picture is rendered in the background.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
     from .place import place
-    from .resized_programs import editable_programs, write_resized
 
     run, config = context.run, context.config
     options = config.compose
@@ -74,14 +71,9 @@ def compose_scene(context: StepContext) -> None:
             # Objects whose programs a person edited keep their sizes, as given assets do.
             assets = kept.objects.assets | {name: objects[name] for name in by_hand}
             evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
-            programs = None
-            if options.align.enabled and options.align.dimensions:
-                programs = editable_programs(run, tree, objects, config)
             used = options.model_copy(update={"refit": refits})
-            placed = place(tree, objects, evidence, used, programs=programs)
+            placed = place(tree, objects, evidence, used)
             _write_fit(run, placed, out)
-            if placed.freed is not None:
-                write_resized(placed.freed, out)
             if placed.alignment is not None and evidence.photo is not None:
                 start = placed.composed.scene
                 _write_alignment(run, start, placed.alignment, evidence, out)
@@ -150,17 +142,11 @@ def _inputs(
     refits: bool,
 ) -> dict[str, object]:
     """Return the inputs of the step. If one of them changes, the step runs again."""
-    from .resized_programs import program_files
-
     run, config = context.run, context.config
-    align = config.compose.align
     inputs: dict[str, object] = {"tree": tree, "options": config.compose, "refits": refits, **specs}
     inputs |= context.evidence
     if (run.path / PHOTO).is_file():
         inputs["photo"] = run.path / PHOTO
-    if align.enabled and align.dimensions:
-        inputs |= {"program": config.program, "verify": config.verify}
-        inputs |= program_files(run, tree)
     if patch.objects:
         inputs["layout"] = patch
     if by_hand:

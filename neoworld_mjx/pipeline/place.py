@@ -8,7 +8,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 from ..compose.compose import Composed, compose
 from ..compose.layout_patch import apply_layout, kept_layout
@@ -26,7 +25,6 @@ from ..measure import SceneMeasure, shown_sides
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
-from ..program.freed_dimensions import EditablePrograms, FreedScene, free_dimensions
 from ..search.final_alignment import FinalAlignment, align_final
 from ..search.scene_refinement import Refined, refine
 from ..spec import ObjectSpec, SceneSpec, SceneTree
@@ -46,9 +44,6 @@ class LayoutEstimate:
     """Report of the fit; None if the tree was not fitted."""
     alignment: Alignment | None = None
     """The alignment, before its objects were put down; None without one."""
-    freed: FreedScene | None = None
-    """Objects whose programs got other dimensions; None unless `compose.align.dimensions` is
-    set."""
     notes: tuple[str, ...] = ()
     """A note for each joint whose friction was raised after the alignment."""
     seconds: float = 0.0
@@ -61,7 +56,6 @@ def place(
     evidence: Evidence | None = None,
     options: ComposeOptions | None = None,
     *,
-    programs: EditablePrograms | None = None,
     name: str = "scene",
 ) -> LayoutEstimate:
     """Fit a tree to its built objects, compose the scene, and align it with its evidence (Step 4).
@@ -71,7 +65,6 @@ def place(
         objects: built object of every node, by the node's name.
         evidence: the photograph, and what of the tree is evidence.
         options: options of composition and alignment.
-        programs: programs of the objects, if `options.align.dimensions` is set.
         name: name of the scene.
 
     Raises:
@@ -91,36 +84,24 @@ def place(
         tree, fit = refit_tree(tree, objects, visible, known=known)
         # The fit changes known sizes by about 1 %.
         tree = evidence.objects.applied(tree, objects)
-    build = partial(_composed, tree, objects, evidence, options, name)
-    composed = build({})
+    composed = _composed(tree, objects, evidence, options, name)
     if evidence.photo is None or not options.align.enabled:
         return LayoutEstimate(
             tree, composed, composed.scene, fit, seconds=time.perf_counter() - began
         )
-    realign = partial(
-        align,
+    alignment = align(
+        composed.scene,
         photo=evidence.photo,
         options=options.align,
         measured=tree.camera_measured,
         evidence=evidence,
     )
-    alignment, freed = realign(composed.scene), None
-    if options.align.dimensions and programs is not None:
-        freed = free_dimensions(
-            composed.scene,
-            alignment,
-            evidence.photo,
-            programs,
-            lambda changed: build(changed).scene,
-            realign,
-        )
-        composed, alignment = build(freed.specs), freed.alignment
     aligned, notes = alignment.scene, ()
     if options.hold_joints:
         aligned, notes = with_aligned_joints_held(aligned)
     scene = _with_kept(put_down(aligned, options.gap_m), tree, evidence, options)
     seconds = time.perf_counter() - began
-    return LayoutEstimate(tree, composed, scene, fit, alignment, freed, notes, seconds)
+    return LayoutEstimate(tree, composed, scene, fit, alignment, notes, seconds)
 
 
 def _composed(
@@ -129,10 +110,9 @@ def _composed(
     evidence: Evidence,
     options: ComposeOptions,
     name: str,
-    changed: Mapping[str, ObjectSpec],
 ) -> Composed:
-    """Compose the scene with some objects changed; drop boxes and a camera that are no evidence."""
-    composed = compose(tree, {**objects, **changed}, options, name=name)
+    """Compose the scene; drop boxes and a camera that are no evidence."""
+    composed = compose(tree, objects, options, name=name)
     scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence, options))
     composed = dataclasses.replace(composed, scene=scene)
     if evidence.boxes:

@@ -1,7 +1,7 @@
-"""Images of scenes and single objects in views that frame them, turntables, and their encoding."""
+"""Images of scenes and single objects in views that frame them."""
 
 import io
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from ..spec import (
     single_object_scene,
     world_poses,
 )
-from .rendering import RenderedImage, compile_posed, render
-from .view import FOVY, View
+from .rendering import RenderedImage, render
+from .view import View
 
 
 def render_scene(
@@ -142,26 +142,6 @@ def to_png(image: RenderedImage | NDArray) -> bytes:
     return stream.getvalue()
 
 
-FORMATS = {".gif": "GIF", ".webp": "WEBP"}
-"""Names of Pillow's formats, by file suffix."""
-
-
-def encode_animation(frames: Iterable[NDArray], pause_ms: int, suffix: str = ".gif") -> bytes:
-    """Encode frames as an animation that repeats forever.
-
-    Args:
-        frames: at least one image, each uint8 [h, w, 3].
-        pause_ms: duration of each frame [ms].
-        suffix: ".gif" or ".webp".
-    """
-    first, *rest = (Image.fromarray(frame) for frame in frames)
-    buffer = io.BytesIO()
-    first.save(
-        buffer, FORMATS[suffix], save_all=True, append_images=rest, duration=pause_ms, loop=0
-    )
-    return buffer.getvalue()
-
-
 def subject_points(scene: SceneSpec, names: Sequence[str] = ()) -> NDArray:
     """Return the visible vertices of objects in the world frame [m], shape [n, 3].
 
@@ -183,48 +163,6 @@ def subject_points(scene: SceneSpec, names: Sequence[str] = ()) -> NDArray:
     return np.vstack(
         [poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in chosen]
     )
-
-
-def around(
-    points: NDArray,
-    azimuths: NDArray,
-    elevation: float,
-    *,
-    width: int,
-    height: int,
-    fovy: float = FOVY,
-) -> list[View]:
-    """Return views from several azimuths, all at the same distance from the center of the points.
-
-    The distance is the largest of those that `View.framing` chooses for the azimuths.
-
-    Args:
-        points: points in the world frame [m], shape [n, 3].
-        azimuths: azimuths of the cameras about +z [rad]; 0 looks at the front (+x).
-        elevation: elevation above the horizontal [rad].
-        width: width [px].
-        height: height [px].
-        fovy: vertical field of view [rad].
-    """
-    views = [
-        View.framing(
-            points, width=width, height=height, azimuth=float(a), elevation=elevation, fovy=fovy
-        )
-        for a in azimuths
-    ]
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    distance = max(float(np.linalg.norm(view.eye - centre)) for view in views)
-    return [view._replace(eye=centre - distance * view.axes[:, 2]) for view in views]
-
-
-def turntable(scene: SceneSpec, views: list[View], *, supersample: int = 2) -> Iterator[NDArray]:
-    """Render a scene from several views, and yield the images, each uint8 [h, w, 3].
-
-    The scene is compiled only once.
-    """
-    posed = compile_posed(scene)
-    for view in views:
-        yield render(posed, view, supersample=supersample).color
 
 
 def with_open_joints(scene: SceneSpec, share: float) -> SceneSpec:

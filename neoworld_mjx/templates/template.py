@@ -24,12 +24,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SpecError, choices
-from ..program.named_constants import RANGE
 
 PROGRAMS = Path(__file__).parent / "programs"
 BOX = ("depth", "width", "height")
 """Parameters that every template has: edges of the bounding box along x, y and z [m]."""
 
+RANGE = re.compile(r"#\s*(-?[\d.]+) to (-?[\d.]+)(?:\s+(m|deg|kg))?\s*$")
+"""Comment after a parameter, which states its range and unit."""
 _CHOICES = re.compile(r"#\s*one of (\w+(?:, \w+)*)\s*$")
 _HEADER = re.compile(r"# ([A-Z][\w-]*): (.+)")
 

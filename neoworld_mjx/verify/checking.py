@@ -4,7 +4,7 @@
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,17 +12,14 @@ from typing import Any
 from ..checks.object_tests import VERSION
 from ..checks.signals import Allowance, Signal, has_errors
 from ..config import Config, ProgramOptions
-from ..errors import ExportError, SpecError
-from ..export import export_object, object_files
+from ..errors import SpecError
+from ..export import export_object
 from ..export.importing import ImportedScene, import_file, only_object
 from ..export.object_of_mechanism import Imported
 from ..io import read_model, read_untrusted_text
-from ..io.files import write_inside
 from ..program import BuildResult, build
-from ..program.views import open_state
-from ..render import render_object, to_png
 from ..spec import ObjectSpec
-from .patch import SUFFIX, Patch, apply, patch_path, read_patch, write_patch
+from .patch import Patch, apply, patch_path, read_patch, write_patch
 from .verification import VerificationResult, verify_and_repair
 
 MAX_PRINTED = 20
@@ -69,34 +66,6 @@ def read_program(program: Path) -> str:
     return read_untrusted_text(program, SpecError)
 
 
-def spec_files(spec: ObjectSpec) -> dict[str, bytes]:
-    """Return the contents of an object's files by name: export formats, spec.json and pictures.
-
-    render.png shows the object with all joints at zero. If any joint moves, opened.png shows the
-    object with all joints open.
-    """
-    files = object_files(spec)
-    files["spec.json"] = spec.to_json().encode()
-    files["render.png"] = to_png(render_object(spec))
-    state = open_state(spec)
-    if state:
-        files["opened.png"] = to_png(render_object(spec, state))
-    return files
-
-
-def write_built(program: PatchedProgram, out: Path) -> None:
-    """Write a built object in every format, its pictures, its program and its patch into a folder.
-
-    Raises:
-        ExportError: a file cannot be written.
-    """
-    assert program.built.spec is not None
-    files = spec_files(program.built.spec) | {"program.py": program.text.encode()}
-    if program.patch is not None:
-        files["program" + SUFFIX] = program.patch.to_json().encode()
-    write_files(files, out)
-
-
 def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> list[str]:
     """Return lines for a terminal: a program's printed output and its signals."""
     lines = printed.splitlines()
@@ -105,21 +74,6 @@ def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> 
         *([f"... and {len(lines) - MAX_PRINTED} more lines"] * (len(lines) > MAX_PRINTED)),
         *(signal.listing(str(file), text) for signal in signals),
     ]
-
-
-def write_files(files: Mapping[str, bytes], out: Path) -> None:
-    """Write files into a folder, each atomically.
-
-    Raises:
-        ExportError: a file cannot be written.
-    """
-    path = ""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for path, content in files.items():
-            write_inside(out, path, content)
-    except OSError as error:
-        raise ExportError(f"cannot write {out / path}: {error.strerror}") from None
 
 
 def import_object(path: Path) -> Imported:

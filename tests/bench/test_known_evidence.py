@@ -10,7 +10,6 @@ from neoworld_bench.noise.known_evidence import (
     BESIDE,
     EXIF_SD,
     HOLES,
-    check_evidence,
     known_evidence,
     second_camera,
 )
@@ -40,12 +39,6 @@ def edges(drawn):
     change[1:] |= drawn.owner[1:] != drawn.owner[:-1]
     change[:, 1:] |= drawn.owner[:, 1:] != drawn.owner[:, :-1]
     return binary_dilation(change, iterations=2)
-
-
-def test_the_photograph_alone_has_no_evidence():
-    alone = given()
-    assert alone.photo is PHOTO
-    assert (alone.camera, alone.depth, alone.masks) == (None, None, None)
 
 
 def test_a_calibrated_camera_is_exact_and_exif_data_are_not():
@@ -84,19 +77,6 @@ def test_a_network_has_smooth_errors_and_unknown_units(kind, drawn, edges):
         assert scale == pytest.approx(AFFINE[0], rel=0.3)
 
 
-def test_a_kind_has_the_same_errors_beside_others():
-    alone, beside = given("depth").depth, given("exif", "depth", "masks").depth
-    np.testing.assert_array_equal(alone.values, beside.values)
-    assert not np.array_equal(alone.values, given("depth", number=1).depth.values, equal_nan=True)
-
-
-def test_masks_are_of_the_objects_alone(drawn):
-    masks, names = given("masks").masks, [item.name for item in desk.five().objects]
-    assert masks.of("desk") is None and set(masks.names) == set(names[1:])
-    np.testing.assert_array_equal(masks.of("can"), drawn.owner == names.index("can"))
-    assert not masks.labels[drawn.owner == 0].any()
-
-
 def test_a_second_photograph_is_taken_aside_and_marked_with_noise():
     second, stereo = given("second").further[0], given("stereo").further[0]
     assert second.to_first is None and second.boxes == stereo.boxes
@@ -111,20 +91,6 @@ def test_a_second_photograph_is_taken_aside_and_marked_with_noise():
     exact = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
     off = np.abs(np.array(second.boxes["can"].as_tuple()) - exact)
     assert 0 < off.max() < 10 and second.photo.shape[1] == camera.width
-
-
-@pytest.mark.parametrize(
-    ("kinds", "message"),
-    [
-        (("fov", "exif"), "fov and exif, at most one"),
-        (("depth", "masks", "disparity"), "depth and disparity, at most one"),
-        (("second", "stereo"), "second and stereo, at most one"),
-        (("dept",), "got 'dept'"),
-    ],
-)
-def test_kinds_that_exclude_each_other_are_refused(kinds, message):
-    with pytest.raises(SpecError, match=message):
-        check_evidence(kinds)
 
 
 def test_camera_errors_include_what_all_objects_share():

@@ -40,13 +40,6 @@ def test_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
     assert case("bench:tents@all").scene == result.scene
 
 
-def test_crowded_scenes_start_from_a_noisy_layout_for_each_seed():
-    result = case("crowded:2")
-    model = compile_scene(result.scene)
-    first, second = (result.start(model, seed) for seed in (0, 1))
-    assert abs(first.xy[0, 1:]).max() > 0 and (first.xy != second.xy).any()
-
-
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.name)
 def test_plans_of_the_repository_name_existing_scenes(path):
     plan = read_plan(path, Ablation if path.parent.name == "ablations" else Plan)
@@ -68,10 +61,3 @@ def test_a_bench_scene_has_the_noise_level_of_its_name():
     assert exact.name == "bench:tents@exact"
     errors = [each.errors(each.scene)["xy_m"] for each in (exact, every)]
     assert errors[0] < 0.5 * errors[1]
-
-
-def test_a_bench_scene_has_the_number_of_its_name():
-    first, second = (case(f"bench:tents@exact#{start}") for start in (0, 1))
-    assert first.scene == case("bench:tents@exact").scene
-    noisy = case("bench:tents@layout#1")
-    assert noisy.name == "bench:tents@layout#1" and noisy.scene != second.scene

@@ -12,7 +12,6 @@ from neoworld_bench.measures.pose_measure import (
     icp_rotation_deg,
     layout_measure,
     measured_points,
-    recall,
     robust_similarity,
 )
 from scipy.spatial.distance import cdist
@@ -88,17 +87,6 @@ def test_depth_error_of_an_object_is_its_own():
     assert min(e.absolute_mm for e in result.objects.values()) > 100
 
 
-def test_depth_measure_needs_pixels_and_skips_what_the_sensor_does_not_see():
-    camera = Intrinsics(200.0, 210.0, 39.0, 31.0)
-    own, owner = flat_view([1.0, 1.1, 1.2, 1.05], [0, 1, 0, 2], camera)
-    sensor = own.copy()
-    sensor[owner == 1] = 0
-    mug = depth_measure(own, owner, ("table", "mug", "book"), sensor).objects["mug"]
-    assert (mug.visible_px, mug.measured_px) == (1200, 0) and np.isnan(mug.error_mm)
-    with pytest.raises(ValueError, match="0 pixels"):
-        depth_measure(own, owner, ("table", "mug", "book"), np.zeros_like(own))
-
-
 def test_add_s_against_its_definition():
     a = samples(bracket(), 500)
     b = moved(a, transform(20, (0.01, 0, 0)))
@@ -133,8 +121,3 @@ def test_layout_measure_of_a_pushed_object():
     assert near.correct and not far.correct
     # Half of each cube's faces slide within themselves, the other points are d away at the most.
     assert 0 < near.add_s * diameter < 0.01 < far.add_s * diameter < 0.1
-
-
-def test_missed_objects_count_against_the_recall():
-    assert recall([0.05, 0.2, None, 0.09]) == 0.5
-    assert recall([]) is None

@@ -1,13 +1,8 @@
 """Rows of results: kept as they come, and taken over by the same command."""
 
-import json
-
 import pytest
 from neoworld_bench import suites
 from neoworld_bench.rows import ROWS, Row, RowStore, kept_rows
-
-from neoworld_mjx.config import load_config
-from neoworld_mjx.errors import ConfigError, RunError
 
 
 class CountedRow(Row):
@@ -55,38 +50,6 @@ def test_an_interrupted_run_continues_and_a_finished_one_leaves_nothing(cache):
     assert list(cache.iterdir()) == []
 
 
-def test_other_options_or_configurations_begin_anew(cache):
-    made = []
-    for options, config in (
-        (suites.Rescues(), None),
-        (suites.Rescues(scenes=1), None),
-        (suites.Rescues(), load_config()),
-        (suites.Rescues(), load_config(None, {"refine": {"cem": {"population": 24}}})),
-    ):
-        with pytest.raises(KeyboardInterrupt):
-            run(made, "bb", options, config)
-    assert made == ["a"] * 4 and len(list(cache.iterdir())) == 4
-
-
-def test_a_line_torn_by_a_kill_is_made_again(cache):
-    made = []
-    with pytest.raises(KeyboardInterrupt):
-        run(made, stop_at="ccc")
-    (folder,) = cache.iterdir()
-    with (folder / ROWS).open("a") as file:
-        file.write('["ccc", [["CountedRow", {"na')
-    with pytest.raises(KeyboardInterrupt):
-        run(made, stop_at="ccc")
-    assert run(made)[-2].name == "ccc"
-    assert made == ["a", "bb", "ccc"]
-
-
-def test_an_error_before_the_first_row_leaves_no_folder(cache):
-    with pytest.raises(ConfigError), kept_rows(suites.Rescues()):
-        raise ConfigError("no such option")
-    assert list(cache.iterdir()) == []
-
-
 def test_rows_replace_those_with_the_same_key(tmp_path):
     file = tmp_path / "new" / ROWS
     store = RowStore(file)
@@ -98,16 +61,3 @@ def test_rows_replace_those_with_the_same_key(tmp_path):
             ("a", float("inf")),
         ]
     assert RowStore(None).of(CountedRow) == []
-
-
-def test_errors_name_the_file(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match="cannot make"):
-        RowStore(tmp_path / "file" / ROWS)
-    broken = tmp_path / ROWS
-    broken.write_text('{"a": 1}\n["b", []]\n')
-    with pytest.raises(RunError, match=r"rows\.jsonl is no file of rows"):
-        RowStore(broken)
-    broken.write_text(json.dumps(["a", [["CountedRow", {"name": "a"}]]]) + "\n")
-    with pytest.raises(RunError, match="CountedRow of another version, value: Field required"):
-        RowStore(broken).of(CountedRow)

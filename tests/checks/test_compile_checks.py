@@ -1,6 +1,5 @@
 import pytest
 
-from neoworld_mjx.checks.compile_checks import LARGEST_M, SMALLEST_M
 from neoworld_mjx.program import build
 
 HEAD = (
@@ -58,17 +57,6 @@ def test_each_fault_has_its_signal(text: str, code: str):
     assert code in codes(text)
 
 
-@pytest.mark.parametrize(
-    ("size", "longest", "limit"),
-    [("(0.006, 0.005, 0.004)", 0.006, SMALLEST_M), ("(30, 1, 1)", 30.0, LARGEST_M)],
-)
-def test_an_implausible_size_reports_the_longest_edge(size: str, longest: float, limit: float):
-    result = build(HEAD + f"body.add(box({size}))").signals
-    (signal,) = (signal for signal in result if signal.code == "size")
-    assert signal.value == pytest.approx(longest) and signal.threshold == limit
-    assert (longest < limit) == (limit == SMALLEST_M)
-
-
 def test_depth_and_line_of_an_overlap():
     text = HEAD + FRAME + DOOR
     text += "door.add(box((0.02, 0.6, 0.6)), at=(0.205, 0, 0.3))\n"
@@ -77,11 +65,6 @@ def test_depth_and_line_of_an_overlap():
     assert signal.code == "overlap_at_rest"
     assert signal.value == pytest.approx(0.005, abs=1e-6)
     assert (signal.part, signal.line) == ("door", 5)
-
-
-def test_parts_with_a_fixed_joint_may_overlap():
-    text = HEAD + FRAME + DOOR + "door.add(box((0.02, 0.6, 0.6)), at=(0.195, 0, 0.3))\n"
-    assert codes(text + "o.fixed('f', body, door)") == set()
 
 
 def test_combinations_of_joints_are_tried():
@@ -112,11 +95,6 @@ def test_mimic_joints_move_in_the_sweep():
     meet = text + follow.format(sign=1) + "multiplier=1.5)"
     assert codes(apart) == set()
     assert codes(meet) == {"overlap_in_motion"}
-
-
-def test_an_authored_mass_is_not_compared_with_density():
-    text = HEAD.replace("material='oak'", "material='cast_iron', mass=10")
-    assert codes(text + "body.add(cylinder(0.1, 0.05))") == set()
 
 
 LID = HEAD + "steel = o.material('lid_steel', like='stainless_steel')\n"

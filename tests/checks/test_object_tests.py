@@ -9,17 +9,11 @@ from neoworld_mjx.checks import joint_checks, scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
 from neoworld_mjx.checks.verdict import BUDGET, Fault
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.program.sandbox import build
 from neoworld_mjx.spec import (
     Box,
-    Capsule,
     Cylinder,
-    GeomSpec,
     JointSpec,
-    Lathe,
-    Material,
     ObjectSpec,
-    PartSpec,
     Sphere,
 )
 from tests.support import scenes
@@ -63,14 +57,6 @@ def test_an_object_that_topples_fails_with_its_number():
     # The cause stands before the symptom: its weight falls beside its foot.
     assert verdict.cause is Fault.OFF_BALANCE
     assert named(verdict, "balance").value < 0
-
-
-def test_a_drawer_out_of_its_carcass_is_not_detached():
-    # At the end of its range the drawer is in the air before its carcass, as drawers are.
-    verdict = verify(chest())
-    assert verdict.passed, bad(verdict)
-    assert named(verdict, "gap:slide").outcome == "PASS"
-    assert named(verdict, "drive:slide").value > 0.9
 
 
 def test_a_range_into_the_carcass_fails_and_its_free_part_is_measured():
@@ -138,20 +124,6 @@ def test_cylinders_pass_upright_and_on_their_side(radius, height):
     assert not [check for check in lying.checks if check.outcome == "TOOL_FAILURE"]
 
 
-@pytest.mark.parametrize("material", ["steel", "oak", "cardboard"])
-def test_a_cylinder_of_a_program_passes(material):
-    text = f"""from neoworld_mjx.program.sdk import Object, cylinder
-
-can = Object("can")
-body = can.part("body", material="{material}")
-body.add(cylinder(.0425, .036), by="bottom")
-"""
-    built = build(text)
-    assert built.spec is not None, built.errors
-    verdict = verify(built.spec)
-    assert verdict.passed, bad(verdict)
-
-
 def test_a_ball_that_rolls_when_tilted_has_no_fault():
     # A dent that is slightly off its middle keeps it moving, as it does an orange.
     dent = (Sphere(radius=0.004), (0.039, 0, 0))
@@ -162,46 +134,6 @@ def test_a_ball_that_rolls_when_tilted_has_no_fault():
     assert "resting_speed:fall" in names
     assert "resting_speed:fall_tilted_x" not in names
     assert named(verdict, "fall_tilted_x").outcome == "SKIP"
-
-
-def pear():
-    """A turned fruit on its side with its axis level, where its centre of mass is not above it."""
-    turn = [math.pi * k / 16 for k in range(1, 9)]
-    profile = ((0.0, 0.0), *((0.027 * math.sin(t), 0.027 * (1 - math.cos(t))) for t in turn))
-    profile += ((0.0265, 0.031), (0.0238, 0.04), (0.019, 0.048), (0.0, 0.054))
-    fruit = GeomSpec(
-        name="fruit", shape=Lathe(profile=profile, sectors=20), pos=(-0.033, 0, 0.027),
-        quat=(math.sqrt(0.5), 0, math.sqrt(0.5), 0), material="skin",
-    )  # fmt: skip
-    skin = Material(name="skin", density=600)
-    return ObjectSpec(
-        name="pear", materials=(skin,), parts=(PartSpec(name="body", geoms=(fruit,)),)
-    )
-
-
-def test_a_round_object_may_settle_with_another_side_down():
-    verdict = verify(pear())
-    assert named(verdict, "tilt").value > 5.0
-    assert verdict.passed, bad(verdict)
-    # Beyond the tilt that composition corrects it fails, with a hint that fits.
-    load = (Sphere(radius=0.01), (0.012, 0, 0.09))
-    egg = scenes.single("egg", (Capsule(radius=0.02, length=0.06), (0, 0, 0.05)), load)
-    tilt = named(verify(egg), "tilt")
-    assert (tilt.outcome, tilt.threshold) == ("FAIL", 30.0)
-    assert "widen" not in tilt.hint and "pose in which it rests" in tilt.hint
-
-
-def test_a_flat_base_with_a_bump_is_not_round():
-    bump = (Sphere(radius=0.004), (0, 0, 0.0))
-    rocking = scenes.single("cup", (Box(size=(0.08, 0.08, 0.1)), (0, 0, 0.048)), bump)
-    lean = named(verify(rocking), "tilt")
-    assert lean.threshold == 5.0
-    assert named(verify(chest()), "tilt").threshold == 5.0
-
-
-def test_the_same_object_gets_the_same_verdict_at_any_number_of_threads():
-    one, two = verify(cupboard(), threads=1), verify(cupboard(), threads=2)
-    assert one.to_json() == two.to_json()
 
 
 def chain(count):

@@ -16,7 +16,6 @@ from neoworld_mjx.spec.pose import from_matrix
 FX, FY, CX, CY = 610.0, 611.0, 321.5, 244.0
 SIZE = (640, 480)
 K = [[FX, 0, CX], [0, FY, CY], [0, 0, 1]]
-DISTORTION = [0.11, -0.2, 0.001, -0.002, 0.05]
 GIVEN = Camera(
     width=640,
     height_px=480,
@@ -184,18 +183,6 @@ def test_worlds_of_reconstructions_are_no_base_frame_unless_given_as_one(tmp_pat
     assert camera.pose is None and camera.fx == FX
 
 
-def test_estimated_intrinsics_have_a_width():
-    camera = FileCamera(fx=FX, fy=FY, cx=CX, cy=CY, focal_sd=0.05)
-    assert known_camera(camera, SIZE, "network")[0].focal_sd == 0.05
-
-
-def test_photographs_that_were_resized_scale_the_intrinsics(tmp_path):
-    own(tmp_path / "camera.json")
-    known, _ = known_camera(read_camera(tmp_path / "camera.json"), (1280, 960), "camera.json")
-    assert known.focal == pytest.approx(1221)
-    assert known.principal == pytest.approx((4, 9))
-
-
 @pytest.mark.parametrize(
     ("size", "reason"), [((640, 400), "cropped"), ((480, 640), "turned by 90 degrees")]
 )
@@ -238,9 +225,3 @@ def test_broken_files_give_one_message(tmp_path, name, text, message):
 def test_photograph_that_is_not_in_the_file_is_named(tmp_path):
     with pytest.raises(EvidenceError, match=r"2 images \(a/other.jpg, a/photo.jpg\), none.*IMG"):
         read_camera(with_pose(tmp_path, "nerfstudio"), "IMG_1.jpg")
-
-
-def test_transposed_k_is_named(tmp_path):
-    np.save(tmp_path / "K.npy", np.array(K).T)
-    with pytest.raises(EvidenceError, match="rows and columns are swapped"):
-        read_camera(tmp_path / "K.npy")

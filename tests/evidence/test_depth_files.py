@@ -8,10 +8,10 @@ from PIL import Image
 
 from neoworld_mjx.errors import EvidenceError
 from neoworld_mjx.evidence.depth_files import flying_pixels, read_depth, registered
-from neoworld_mjx.evidence.depth_image import MONOCULAR, DepthImage
+from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence_file import StatedEvidence, evidence_of
 from neoworld_mjx.evidence.lens import Lens
-from tests.support.made_up_view import BOXES, DEPTHS, HEIGHT, WIDTH, depth, table_depth
+from tests.support.made_up_view import BOXES, DEPTHS, depth
 
 
 def png16(path, values, per_meter=1000):
@@ -52,27 +52,6 @@ def test_zero_nan_infinite_and_negative_depths_are_missing(tmp_path):
     assert np.isnan(read.values[0, :4]).all() and np.isfinite(read.values).sum() == 1596
 
 
-def test_relative_depth_keeps_its_values_and_its_error(tmp_path):
-    values = depth() * 0.3 - 0.1
-    np.save(tmp_path / "depth.npy", values)
-    read = read_depth(tmp_path / "depth.npy", kind="affine")
-    same(read, values, 1e-9)
-    assert read.kind == "affine" and read.smooth_sd == MONOCULAR
-
-
-def test_confidence_of_levels_becomes_zero_to_one(tmp_path):
-    png16(tmp_path / "depth.png", depth())
-    levels = np.zeros((HEIGHT, WIDTH), np.uint8)
-    levels[:, 100:] = 1
-    levels[:, 200:] = 2
-    Image.fromarray(levels).save(tmp_path / "confidence.png")
-    read = read_depth(tmp_path / "depth.png", confidence=tmp_path / "confidence.png")
-    assert set(np.unique(read.confidence)) == {0.0, 0.5, 1.0}
-    Image.fromarray(levels[:100]).save(tmp_path / "confidence.png")
-    with pytest.raises(EvidenceError, match=r"confidence\.png has 320 x 100"):
-        read_depth(tmp_path / "depth.png", confidence=tmp_path / "confidence.png")
-
-
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [
@@ -103,14 +82,6 @@ def test_flying_pixels_between_two_surfaces_are_removed_and_no_others():
     assert flying[top + 2 : bottom - 2, left - 1].all()
     flying[top - 2 : bottom + 2, left - 3 : left + 2] = False
     assert flying.mean() < 1e-3
-
-
-def test_steep_planes_and_thin_objects_have_no_flying_pixels():
-    steep = 1 / np.linspace(2.0, 0.05, 60)[:, None] + np.zeros((1, 80))
-    assert not flying_pixels(steep).any()
-    thin = table_depth()
-    thin[40:200, 100:102] = 0.6
-    assert not flying_pixels(thin)[45:195].any()
 
 
 def boxes_seen_by(lens, offset=(0.0, 0.0, 0.0)):

@@ -1,7 +1,6 @@
 """Known cameras in scene trees: objects keep their pixels, distances follow what is known."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,19 +84,6 @@ def test_known_height_scales_the_scene():
     for old, new in zip(tree().nodes[1:], after.nodes[1:], strict=True):
         assert new.box3d.position[:2] == pytest.approx(np.multiply(2, old.box3d.position[:2]))
         assert new.box3d.size == pytest.approx((0.2, 0.2, 0.2))
-
-
-def test_values_of_another_size_are_scaled():
-    known = KnownCamera(size=(1280, 960), focal=2 * GUESS.focal, principal=(20.0, -8.0))
-    camera = known.camera(GUESS)
-    assert camera.fovy == pytest.approx(GUESS.fovy)
-    assert camera.principal == pytest.approx((10.0, -4.0))
-
-
-def test_only_known_parameters_have_deviations():
-    known = KnownCamera(size=(640, 480), focal=900.0, focal_sd=0.03)
-    assert known.deviations() == {"focal": 0.03}
-    assert set(replace(known, pitch=0.3, roll=0.0).deviations()) == {"focal", "pitch", "roll"}
 
 
 def test_base_frame_of_a_camera():

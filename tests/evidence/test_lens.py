@@ -57,29 +57,6 @@ def test_undistorted_image_shows_each_point_where_a_pinhole_camera_has_it(name):
     assert np.abs(inside - pattern(seen)[2:-2, 2:-2]).max() < 0.05
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_images_of_other_sizes_are_undistorted_alike(factor):
-    size = round(240 * factor), round(320 * factor)
-    image = np.ones((*size, 3), np.uint8) * 77
-    result = undistorted_image(image, BARREL, pinhole_of(BARREL), smooth=True)
-    assert result.dtype == np.uint8 and (result == 77).all()
-    assert result.shape[1] == size[1] and abs(result.shape[0] - size[0]) <= 4 * factor
-
-
-def test_holes_of_a_depth_image_do_not_spread():
-    image = np.ones((240, 320))
-    image[100:110, 100:120] = np.nan
-    result = undistorted_image(image, BARREL, pinhole_of(BARREL))
-    assert 100 < np.isnan(result).sum() < 300 and set(np.unique(result[~np.isnan(result)])) == {1.0}
-
-
-def test_small_differences_leave_the_photograph_as_it_is():
-    camera = FileCamera(fx=1066.778, fy=1067.487, cx=312.987, cy=241.311)
-    known, lens = known_camera(camera, (640, 480), "camera")
-    assert lens is None and known.size == (640, 480)
-    assert known.focal == pytest.approx(1067.1325)
-
-
 def test_distortion_and_pixels_that_are_not_square_undistort_the_photograph():
     distortion = Distortion(coefficients=(-0.3, 0.1))
     camera = FileCamera(fx=500, fy=500, cx=319.5, cy=239.5, distortion=distortion)

@@ -45,13 +45,6 @@ def test_smallest_of_overlapping_masks_wins(tmp_path):
     assert [at(5), at(30), at(80)] == ["b_cup", "a_plate", "c_table"]
 
 
-def test_stack_of_masks_of_a_segmenter(tmp_path):
-    stack = np.stack([labels() == number for number in (9, 3)])
-    np.save(tmp_path / "masks.npy", stack)
-    masks = read_masks(tmp_path / "masks.npy")
-    assert set(np.unique(masks.labels)) == {0, 1, 2} and masks.names == {}
-
-
 def tree():
     nodes = [
         TreeNode(
@@ -79,13 +72,6 @@ def test_masks_without_the_name_of_an_object_go_to_the_box_that_they_overlap(nam
     masks, notes = matched_to(Masks(numbers, names, "sam.png"), tree())
     assert masks.names == {"red_box": 3, "blue_box": 5, "green_box": 9}
     assert notes == ("no object of the scene has the mask 7 of sam.png",)
-
-
-def test_mask_of_a_support_goes_to_the_support():
-    numbers = labels().astype(np.int32)
-    numbers[(numbers == 0) & (np.arange(HEIGHT)[:, None] >= 30)] = 1
-    masks, notes = matched_to(Masks(numbers), tree())
-    assert masks.names["table"] == 1 and not notes
 
 
 @pytest.mark.parametrize(

@@ -337,23 +337,6 @@ def test_urdf_has_the_mass_joints_and_colliders_that_mujoco_reads(tmp_path, kind
     assert not read.notes or read.fixed_base or kind in ("ballast", "planar")
 
 
-def test_the_mass_of_fixed_links_without_shapes_is_kept(tmp_path):
-    """ROS descriptions state the inertia of the base in a link of its own, base_inertia."""
-    shape = "<collision><geometry><box size='.4 .4 .2'/></geometry></collision>"
-    ballast = f"<link name='i'>{inertial(25)}</link>" + joint("j", "fixed", "base", "i")
-    path = tmp_path / "a.urdf"
-    path.write_text(f"<robot name='r'><link name='base'>{shape}</link>{ballast}</robot>")
-    read = import_file(path)
-    (part,) = read.spec.parts
-    assert part.mass == 25 and part.inertia is not None
-    assert "stated for links that are fixed to it" in read.notes[0]
-    stated = "<inertial><mass value='3'/></inertial>"
-    path.write_text(f"<robot name='r'><link name='base'>{stated}{shape}</link>{ballast}</robot>")
-    (part,) = import_file(path).spec.parts
-    assert part.mass == 28
-    assert part.inertia.moments[0] > 0.02 * 25 + 3 * (0.4**2 + 0.2**2) / 12
-
-
 @pytest.mark.parametrize("moments", [(0.001, 0.001, 0.1), (0, 0, 0), (-0.001, 0.01, 0.01)])
 def test_an_inertia_that_no_body_has_is_one_line_for_export(tmp_path, moments):
     a, b, c = moments
@@ -368,14 +351,3 @@ def test_an_inertia_that_no_body_has_is_one_line_for_export(tmp_path, moments):
     assert any(line in note for note in read.notes)
     with pytest.raises(SpecError, match=f"{line}.*--repair"):
         to_mjspec(read.spec)
-
-
-def test_rounded_moments_are_balanced(tmp_path):
-    plate = (
-        "<inertial><mass value='1'/><inertia ixx='.01' iyy='.01' izz='.0201' ixy='0' ixz='0' "
-        "iyz='0'/></inertial><collision><geometry><box size='.3 .3 .01'/></geometry></collision>"
-    )
-    path = tmp_path / "a.urdf"
-    path.write_text(f"<robot name='r'><link name='base'>{plate}</link></robot>")
-    model = to_mjspec(import_file(path).spec).compile()
-    assert model.body_inertia[1].max() == pytest.approx(0.02)

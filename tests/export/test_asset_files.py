@@ -1,15 +1,11 @@
 """Files that assets refer to: folders of packages, URIs, colors of meshes and of URDF."""
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.asset_files import set_packages
 from neoworld_mjx.export.importing import import_file
 
 MASS = (
@@ -64,7 +60,7 @@ def test_a_package_may_keep_its_meshes_beside_the_folder_of_the_urdf(package, ki
 def test_the_manifest_of_a_package_is_found_above(package):
     path = package / "robots" / "left" / "a.urdf"
     path.write_text(urdf(mesh("package://arm_description/meshes/base link.stl")))
-    with pytest.raises(SpecError, match=r"--package arm_description=FOLDER names the folder"):
+    with pytest.raises(SpecError, match="copy the package arm_description, with its"):
         import_file(path)
     (package / "package.xml").write_text("<package/>")
     assert import_file(path).spec.parts
@@ -76,7 +72,7 @@ def test_packages_of_a_workspace_may_refer_to_each_other(tmp_path, package):
     path = other / "a.urdf"
     path.write_text(urdf(mesh("package://arm_description/meshes/base link.stl")))
     (other / "package.xml").write_text("<package/>")
-    with pytest.raises(SpecError, match="--package arm_description"):
+    with pytest.raises(SpecError, match="copy the package arm_description"):
         import_file(path)
     (package / "package.xml").write_text("<package/>")
     assert import_file(path).spec.parts
@@ -84,25 +80,6 @@ def test_packages_of_a_workspace_may_refer_to_each_other(tmp_path, package):
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "secret.stl")
     with pytest.raises(SpecError, match="outside its folder"):
         import_file(path)
-
-
-def test_the_folder_of_a_package_can_be_named(tmp_path, package, capfd):
-    path = tmp_path / "elsewhere" / "a.urdf"
-    path.parent.mkdir()
-    path.write_text(urdf(mesh("package://arm/meshes/base link.stl")))
-    with pytest.raises(SpecError, match="--package arm=FOLDER"):
-        import_file(path)
-    out = str(tmp_path / "out")
-    with pytest.raises(SystemExit) as left:
-        main(["export", str(path), "--out", out, "--format", "urdf", "--json",
-              "--package", f"arm={package}"])  # fmt: skip
-    assert left.value.code == 0
-    assert json.loads(capfd.readouterr().out)["files"]
-    set_packages({})
-    with pytest.raises(SystemExit) as left:
-        main(["export", str(path), "--out", out + "2", "--package", "arm=/nowhere/at/all"])
-    assert left.value.code == 2
-    assert "--package takes NAME=FOLDER" in capfd.readouterr().err
 
 
 def obj_with_materials(folder, name="m"):
@@ -130,17 +107,6 @@ def test_materials_of_obj_files_are_read(tmp_path):
     obj_with_materials(tmp_path)
     (tmp_path / "a.urdf").write_text(urdf(mesh("m.obj")))
     assert colors(tmp_path / "a.urdf") == {(0.8, 0.1, 0.1, 1.0), (0.1, 0.8, 0.1, 0.5)}
-
-
-def test_materials_outside_of_the_asset_are_noted(tmp_path):
-    home = tmp_path / "home"
-    home.mkdir()
-    obj_with_materials(home)
-    (home / "m.mtl").rename(tmp_path / "m.mtl")
-    text = (home / "m.obj").read_text().replace("mtllib m.mtl", "mtllib ../m.mtl")
-    (home / "m.obj").write_text(text)
-    (home / "a.urdf").write_text(urdf(mesh("m.obj")))
-    assert any("outside its folder" in note for note in import_file(home / "a.urdf").notes)
 
 
 def test_vertex_colors_and_textures_of_meshes_are_read(tmp_path):
@@ -173,9 +139,3 @@ def test_materials_of_urdf_are_found_wherever_they_are_defined(tmp_path):
     obj_with_materials(tmp_path)
     path.write_text(urdf(mesh("m.obj"), red))
     assert colors(path) == {(0.9, 0.1, 0.1, 1.0)}
-
-
-def test_shapes_that_are_not_read_are_noted(tmp_path):
-    path = tmp_path / "a.urdf"
-    path.write_text(urdf("<geometry><ellipsoid radii='1 1 1'/></geometry>"))
-    assert "link base: a visual with ellipsoid is not imported" in import_file(path).notes

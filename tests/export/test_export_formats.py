@@ -12,11 +12,10 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import (
     collider_error,
-    losses,
     write_formats,
 )
 from neoworld_mjx.names import FORMATS
-from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, Cylinder, SceneObject, SceneSpec
 from tests.support import mechanisms
 
 
@@ -109,20 +108,12 @@ def test_export_writes_files_for_a_simulator_and_reports_losses(tmp_path, cabine
     assert "not empty" in "".join(capfd.readouterr())
     assert "stiffness and armature of joints" in answer["lost"]["urdf"]
     assert not any("ball joints" in text for text in answer["lost"]["urdf"])
-    assert run("--for", "isaac", "--floor", "--overwrite") == 2
+    assert run("--for", "newton", "--floor", "--overwrite") == 2
     assert "--floor is written to MJCF only" in "".join(capfd.readouterr())
     assert run("--for", "mjx", "--floor", "--overwrite") == 0
     assert json.loads(capfd.readouterr().out)["collider_error_mm"] > 0
     model = mujoco.MjModel.from_xml_path(str(out / "object.xml"))
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
-
-
-def test_losses_are_those_of_the_scene():
-    crate = mechanisms.single("crate", Box(size=(0.1, 0.1, 0.1)), 0.05)
-    assert losses("usd", crate) == losses("mjcf", crate) == []
-    assert losses("sdf", crate) == ["textures"]
-    egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
-    assert losses("usdz", egg) == ["ellipsoid colliders, written as meshes"]
 
 
 @pytest.mark.parametrize(("z", "floor"), [(0.0, 0.0), (-0.7, -0.7)])
@@ -166,37 +157,3 @@ def test_the_newton_layer_sets_joint_states_and_contacts(tmp_path, scene):
     assert colliders > 20
     assert over.GetDefaultPrim().GetName() == "scene" and UsdGeom.GetStageUpAxis(over) == "Z"
     assert UsdPhysics.GetStageKilogramsPerUnit(over) == 1
-
-
-def test_the_isaac_layer_composes_over_the_scene(tmp_path, scene):
-    write_formats(scene, tmp_path, ["usd"], simulator="isaac")
-    below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "isaac.usda"))
-    settings = over.GetPrimAtPath("/scene/physics_")
-    assert "PhysxSceneAPI" in settings.GetMetadata("apiSchemas").GetAppliedItems()
-    assert settings.GetAttribute("physxScene:timeStepsPerSecond").Get() == 240
-    joints, roots, links = {}, [], 0
-    for prim in over.Traverse():
-        path = prim.GetPath()
-        assert below.GetPrimAtPath(path).GetTypeName() == prim.GetTypeName() != "", path
-        if prim.HasAPI(UsdPhysics.ArticulationRootAPI):
-            roots.append(str(path))
-            assert prim.GetAttribute("physxArticulation:enabledSelfCollisions").Get() is True
-        if prim.HasAPI(UsdPhysics.CollisionAPI):
-            for name in ("newton:contactGap", "physxCollision:contactOffset"):
-                assert prim.GetAttribute(name).Get() == pytest.approx(0.002)
-        if prim.HasAPI(UsdPhysics.MaterialAPI):
-            assert prim.GetAttribute("physxMaterial:frictionCombineMode").Get() == "max"
-        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
-            links += 1
-            assert prim.GetAttribute("physxRigidBody:angularDamping").Get() == 0
-        for kind in ("angular", "linear"):
-            state = prim.GetAttribute(f"state:{kind}:physics:position")
-            if state:
-                joints[str(path)] = state.Get()
-    # What is held has its root at the joint to the world; what cannot move has none.
-    assert roots == ["/scene/box", "/scene/fixtures/fastened"]
-    assert links > 5
-    assert joints["/scene/box/joints/hinge"] == pytest.approx(np.degrees(0.8))
-    assert joints["/scene/fastened/joints/slide"] == pytest.approx(0.05)
-    # Also of joints at 0, which the scene itself says nothing about.
-    assert 0.0 in joints.values()

@@ -1,7 +1,6 @@
 """glTF scenes: nodes that are objects, cameras, and the export read back."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -142,31 +141,3 @@ def box_of(scene: SceneSpec, name: str) -> tuple[np.ndarray, np.ndarray]:
     item = scene.object(name)
     points = world_poses(scene)[name].apply(visible_surface(item.spec, item.joint_state)[0])
     return points.min(axis=0), points.max(axis=0)
-
-
-def test_camera_below_other_nodes(tmp_path):
-    """Blender puts cameras below parents; the aspect ratio is optional in glTF."""
-    files = nested({"cup": (None, True), "plate": (None, True)}).export(file_type="gltf")
-    document = json.loads(files["model.gltf"])
-    half = math.sqrt(0.5)
-    document["cameras"] = [
-        {"type": "orthographic", "orthographic": {"xmag": 1, "ymag": 1, "zfar": 9, "znear": 1}},
-        {"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}},
-    ]
-    first = len(document["nodes"])
-    document["nodes"] += [
-        {"name": "flat", "camera": 0},
-        {"name": "rig", "translation": [0, 2, 0], "scale": [3, 3, 3], "children": [first + 2]},
-        {"name": "eye", "rotation": [-half, 0, 0, half], "translation": [0, 0, 1], "camera": 1},
-    ]
-    document["scenes"][0]["nodes"] += [first, first + 1]
-    (tmp_path / "model.gltf").write_text(json.dumps(document))
-    for name, data in files.items():
-        if name.endswith(".bin"):
-            (tmp_path / name).write_bytes(data)
-    camera = import_file(tmp_path / "model.gltf").camera
-    # In glTF it is at (0, 2, 3), and looks straight down; its image's top is glTF's -z.
-    assert camera.fovy == 0.6
-    pose = np.array(camera.pose)
-    assert np.allclose(pose[:3, 3], [0, -3, 2])
-    assert np.allclose(pose[:3, :3].T, [[1, 0, 0], [0, -1, 0], [0, 0, -1]])

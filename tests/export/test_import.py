@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import (
@@ -14,7 +13,6 @@ from neoworld_mjx.export import (
     import_urdf,
 )
 from neoworld_mjx.export.importing import import_file
-from neoworld_mjx.io.limited_worker import FileOptions, bounded_by
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh, bounds, inertial
 from neoworld_mjx.verify.checking import import_object
@@ -144,45 +142,12 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
     assert import_urdf(path).spec == result.spec
 
 
-def test_without_coacd_a_mesh_collides_as_its_hull_and_a_note_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(decompose, "coacd_installed", lambda: False)
-    (tmp_path / "u.obj").write_text(U)
-    path = tmp_path / "u.urdf"
-    path.write_text(
-        urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
-    )
-    result = import_urdf(path)
-    assert len(result.spec.parts[0].geoms[0].shape.hulls) == 1
-    assert any("CoACD is not installed" in note for note in result.notes)
-
-
-def test_flat_sheets_get_a_thickness(tmp_path):
-    (tmp_path / "s.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n")
-    path = tmp_path / "s.urdf"
-    path.write_text(
-        urdf("<link name='s'><visual><geometry><mesh filename='s.obj'/></geometry></visual></link>")
-    )
-    low, high = bounds(import_urdf(path).spec)
-    np.testing.assert_allclose(high - low, [1, 1, decompose.SHEET_M], atol=1e-6)
-
-
 def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
     path = tmp_path / "two.xml"
     body = "<body name='{}'><geom size='0.1'/></body>"
     path.write_text(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody></mujoco>")
     with pytest.raises(SpecError, match="a, b"):
         import_mjcf(path)
-
-
-def test_limits_are_relative_to_the_reference_pose(tmp_path):
-    path = tmp_path / "ref.xml"
-    path.write_text(
-        "<mujoco><compiler angle='radian'/><worldbody><body name='a'><geom size='0.1'/>"
-        "<body name='b' pos='0.2 0 0'><joint name='j' axis='0 0 1' range='0.5 2' ref='1'/>"
-        "<geom size='0.1'/></body></body></worldbody></mujoco>"
-    )
-    (joint,) = import_mjcf(path).spec.joints
-    assert (joint.lower, joint.upper) == pytest.approx((-0.5, 1.0))
 
 
 STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><body name="stove">
@@ -206,43 +171,3 @@ def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     # The knob collides with nothing, so only a tiny sphere is its collider.
     assert [geom.role for geom in result.spec.part("knob").geoms] == ["visual", "collision"]
     assert result.spec.part("knob").mass == pytest.approx(0.1)
-
-
-def test_a_mesh_that_takes_long_leaves_the_others_their_share_of_the_time(tmp_path, monkeypatch):
-    """CoACD takes minutes for open meshes of some thousand faces; a scene may have many."""
-    pytest.importorskip("coacd")
-    import trimesh
-
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
-    torus = trimesh.creation.torus(0.3, 0.1, 70, 70)
-    trimesh.Trimesh(torus.vertices, torus.faces[:-300]).export(tmp_path / "open.obj")
-    (tmp_path / "u.obj").write_text(U)
-    path = tmp_path / "open.urdf"
-    visuals = [
-        f"<visual><geometry><mesh filename='{file}.obj'/></geometry></visual>"
-        for file in ("open", "u")
-    ]
-    path.write_text(urdf(f"<link name='a'>{''.join(visuals)}</link>"))
-    with bounded_by(FileOptions(decompose_s=6.0)):
-        read = import_urdf(path)
-    hulls = [len(geom.shape.hulls) for geom in read.spec.parts[0].geoms]
-    assert hulls[0] == 1 and hulls[1] >= 3
-    (note,) = [note for note in read.notes if "no colliders" in note]
-    assert "its convex hull, as CoACD fails (" in note and "takes over" in note
-    assert f"{hulls[1]} convex pieces by CoACD" in note
-    # The hulls are not stored: a later import may take the time.
-    assert len(list(tmp_path.glob("cache/**/*.npz"))) == 1
-
-
-def test_closed_meshes_are_split_finely(tmp_path):
-    pytest.importorskip("coacd")
-    import trimesh
-
-    box = trimesh.creation.box((1.0, 0.5, 0.8))
-    slot = trimesh.creation.box(
-        (0.9, 0.4, 0.1), trimesh.transformations.translation_matrix((0.2, 0, 0.2))
-    )
-    mesh = trimesh.boolean.difference([box, slot], engine="manifold")
-    pieces = decompose.convex_pieces(mesh.vertices, mesh.faces).pieces
-    volume = sum(decompose.volume_of_hull(piece) for piece in pieces)
-    assert volume == pytest.approx(mesh.volume, rel=0.02)

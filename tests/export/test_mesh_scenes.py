@@ -1,24 +1,20 @@
 """Scenes of posed meshes: glTF, and poses.json next to meshes and models."""
 
 import json
-import math
 
 import numpy as np
 import pytest
 
-from neoworld_mjx.errors import EvidenceError, PhotoError, SpecError
+from neoworld_mjx.errors import EvidenceError, SpecError
 from neoworld_mjx.evidence.camera_files import read_camera
-from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.formats import object_files
 from neoworld_mjx.export.importing import ImportedScene, import_file
-from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import (
-    mesh_object,
     read_mesh_scene,
     viewpoint,
 )
 from neoworld_mjx.render import visible_surface
-from neoworld_mjx.spec import Camera, SceneSpec, world_poses
+from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose
 from neoworld_mjx.spec.scene import transformed_scene
 from tests.support.bop_sample import desk
@@ -95,29 +91,6 @@ def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path, scale):
         assert np.allclose(world_poses(back)[name].pos, at.pos + [0, 0, 0.1], atol=1e-6)
 
 
-@pytest.mark.parametrize("pitch", [-math.pi / 2, -0.4, 0.0, 1.2, math.pi / 2])
-def test_viewpoints_of_all_pitches(pitch):
-    # Straight up and down, a roll is a heading.
-    roll = -0.3 if abs(pitch) < 1.5 else 0.0
-    camera = Camera(width=200, height_px=100, fovy=0.8, height=1.3, pitch=pitch, roll=roll)
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = camera.axes(), camera.position()
-    about = np.eye(4)
-    about[:2, :2] = [[0, -1], [1, 0]]
-    stated = FileCamera(pose=(about @ matrix).tolist(), fovy=0.8)
-    shown, placed, lens = viewpoint(stated, 200, 100)
-    assert lens is None
-    assert shown.model_dump() == pytest.approx(camera.model_dump(), abs=1e-9)
-    assert np.allclose(placed.apply([0.0, 1.0, 0.5]), [1, 0, 0.5])
-
-
-def test_photograph_keeps_its_pixels_if_its_principal_point_is_off_the_middle():
-    stated = FileCamera(pose=np.eye(4).tolist(), fx=300, fy=300, cx=139.5, cy=51.5)
-    shown, _, lens = viewpoint(stated, 320, 100)
-    assert lens is None and (shown.width, shown.height_px) == (320, 100)
-    assert shown.focal == pytest.approx(300) and np.allclose(shown.center, (140, 52))
-
-
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -131,16 +104,6 @@ def test_broken_cameras_give_one_error(tmp_path, fields, message):
     (tmp_path / "camera.json").write_text(json.dumps(fields))
     with pytest.raises(EvidenceError, match=message):
         read_camera(tmp_path / "camera.json")
-
-
-def test_camera_without_pose_or_view_names_what_is_missing():
-    with pytest.raises(PhotoError, match="has no pose: give it by --camera"):
-        viewpoint(FileCamera(fovy=0.5), 320, 240)
-    with pytest.raises(PhotoError, match="no field of view"):
-        viewpoint(FileCamera(pose=np.eye(4).tolist()), 320, 240)
-    far = FileCamera(pose=np.eye(4).tolist(), fx=900, fy=900, cx=640, cy=360)
-    with pytest.raises(EvidenceError, match="not near the middle"):
-        viewpoint(far, 320, 240)
 
 
 def test_models_in_place_of_meshes(tmp_path):
@@ -180,19 +143,6 @@ def test_a_list_of_poses_says_what_is_fixed_and_where_models_are(tmp_path):
     reported = " / ".join(read.notes)
     assert "ground of the world is not imported" in reported
     assert "gravity 0 0 -1.6 m/s^2 is not kept" in reported
-
-
-def test_mirrored_pose_mirrors_the_mesh():
-    corner = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1.0]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    made = mesh_object("a", [Surface(corner, faces)], np.diag([-1.0, 1, 1, 1]))
-    (shape,) = made.mechanism.links["body"].shapes
-    vertices, outward = shape.shape
-    world = vertices @ made.frame[:3, :3].T + made.frame[:3, 3]
-    assert np.allclose(world, corner * [-1, 1, 1])
-    assert np.linalg.det(made.frame[:3, :3]) == pytest.approx(1)
-    a, b, c = vertices[outward].transpose(1, 0, 2)
-    assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, export_scene, frames, mjcf_text
+from neoworld_mjx.export import export_object, export_scene, mjcf_text
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
 from tests.support import mechanisms
@@ -67,14 +67,6 @@ def test_two_copies_of_an_object_can_be_attached_with_a_robot(folder, cabinet):
     assert model.joint("two-cabinet-hinge").range.tolist() == pytest.approx([-0.2, 1.6])
 
 
-def test_files_have_elliptic_cones_and_those_for_mjx_pyramids(folder, scene):
-    read = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
-    assert read.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and read.opt.impratio == 10
-    (option,) = ET.fromstring(mjcf_text(scene, target="mjx")).iter("option")
-    assert option.get("cone", "pyramidal") == "pyramidal"
-    assert float(option.get("impratio", 1)) == 1
-
-
 def test_joints_and_handles_have_sensors(folder, cabinet):
     model = mujoco.MjModel.from_xml_path(str(folder / "alone" / "object.xml"))
     data = mujoco.MjData(model)
@@ -89,17 +81,6 @@ def test_joints_and_handles_have_sensors(folder, cabinet):
     assert "cabinet-drawer_handle-touch" in touches
     assert "cabinet-links_handle-touch" in touches
     assert not [name for name in touches if re.search("(flap|cog)_handle", name)]  # They follow.
-
-
-def test_a_handle_is_a_named_geom_or_the_leading_side(cabinet):
-    by_joint = {frame.joint: frame for frame in frames(cabinet)}
-    # The knob is fixed to the door.
-    assert by_joint["hinge"].part == "links"
-    assert np.allclose(by_joint["hinge"].pos, (0.2, -0.18, 0.15), atol=0.03)
-    # Nothing of the drawer is called a handle: its front, in the direction of its axis.
-    assert by_joint["slide"].pos[0] == pytest.approx(0.1, abs=0.02)
-    (given,) = [frame for frame in frames(cabinet) if frame.joint is None]
-    assert (given.name, given.pos) == ("pull", (0.21, -0.18, 0.15))
 
 
 def test_files_for_mjx_have_only_supported_colliders(tmp_path):

@@ -14,13 +14,11 @@ from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.write_glb import visible_surface
-from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.render.tiles import tile_png, tile_size
 from neoworld_mjx.spec import Box, Cylinder, Material, ObjectSpec, SurfacePattern
 from neoworld_mjx.spec.finish import finish
-from neoworld_mjx.spec.room import PATTERN_KINDS
 from tests.support.mechanisms import geom, joint, part
 
 TILED = SurfacePattern(kind="tiles", step=0.05, rgb=(0.1, 0.1, 0.1))
@@ -59,22 +57,6 @@ def folder(tmp_path_factory, spec):
     out = tmp_path_factory.mktemp("looks")
     write_formats(spec, out, ["mjcf", "usd", "usdz", "glb"])
     return out
-
-
-@pytest.mark.parametrize("kind", [kind for kind in PATTERN_KINDS if kind != "plain"])
-def test_a_tile_repeats_without_a_seam(kind):
-    material = Material(
-        name="a", density=1, rgba=(0.6, 0.5, 0.4, 1), pattern=SurfacePattern(kind=kind)
-    )
-    content = tile_png(material)
-    assert content is not None and content == tile_png(material) and len(content) < 20_000
-    picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(float)
-    for axis in (0, 1):
-        steps = np.abs(np.diff(picture, axis=axis)).mean(axis=(1 - axis, 2))
-        seam = np.abs(picture.take(0, axis) - picture.take(-1, axis)).mean()
-        # Nothing at the seam is sharper than what the pattern has anyway, such as a joint.
-        assert seam <= steps.max() + 1e-9, axis
-    assert np.ptp(picture) > 5
 
 
 def test_a_tile_matches_the_rendered_pattern(spec):
@@ -163,57 +145,3 @@ def test_plain_colors_and_gloss_of_textured_materials_are_read_back(folder, spec
             and np.allclose(finish(material)[:2], finish(own)[:2], atol=1e-5)
         ]
         assert near, name
-
-
-def test_textures_of_other_files_are_read_as_their_mean_color(tmp_path):
-    pixels = np.zeros((2, 2, 3), np.uint8)
-    pixels[0] = (200, 100, 0)
-    Image.fromarray(pixels).save(tmp_path / "own.png")
-    (tmp_path / "a.xml").write_text(
-        '<mujoco><asset><texture name="t" type="2d" file="own.png"/>'
-        '<material name="m" texture="t"/></asset><worldbody>'
-        '<body name="b"><freejoint/><geom size=".1" material="m"/></body>'
-        "</worldbody></mujoco>"
-    )
-    (material,) = import_mjcf(tmp_path / "a.xml").spec.materials
-    assert material.rgba == pytest.approx((100 / 255, 50 / 255, 0, 1), abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "metallic", "pattern"),
-    [
-        ("dark_oak", 0, "grain"),
-        ("hardwood", 0, "grain"),
-        ("curtain", 0, None),
-        ("stainless_steel_b0b0b0", 1, "brushed"),
-        ("polished_steel", 1, None),
-        ("satin", 0, None),
-    ],
-)
-def test_a_material_name_implies_a_finish(name, metallic, pattern):
-    made = finish(Material(name=name, density=1))
-    assert made.metallic == metallic
-    assert (None if made.pattern is None else made.pattern.kind) == pattern
-    assert (
-        finish(Material(name=name, density=1, pattern=SurfacePattern(kind="plain"))).pattern is None
-    )
-
-
-def test_programs_state_a_finish_or_inherit_it():
-    built = run(
-        "from neoworld_mjx.program.sdk import Object, box\n"
-        "o = Object('o')\n"
-        "o.material('seat', like='oak', rgb=(0.5, 0.1, 0.1))\n"
-        "o.material('shell', like='plastic', roughness=0.05, metallic=0.5)\n"
-        "b = o.part('b', material='seat')\n"
-        "b.add(box((0.1, 0.1, 0.1)))\n"
-        "b.add(box((0.1, 0.1, 0.1)), at=(0, 0, 0.1), material='shell')\n"
-    )
-    assert built.spec is not None, built.signals
-    seat, shell = (finish(built.spec.material(name)) for name in ("seat", "shell"))
-    assert seat.pattern is not None and seat.pattern.kind == "grain" and seat.roughness == 0.6
-    assert (shell.metallic, shell.roughness) == (0.5, 0.05)
-    wrong = run(
-        "from neoworld_mjx.program.sdk import Object\nObject('o').material('a', 'oak', roughness=2)"
-    )
-    assert not wrong.ok and "roughness" in wrong.signals[0].message

@@ -69,14 +69,6 @@ def test_only_colliders_of_moving_parts_are_shrunk(folder):
     assert seen["panel"] == "0.02 0.2 0.3"
 
 
-def test_the_root_link_has_the_objects_name_in_urdf_and_mjcf(folder):
-    root = ET.parse(folder / "object.urdf").getroot()
-    children = {child.get("link") for child in root.iter("child")}
-    (top,) = {link.get("name") for link in root.findall("link")} - children
-    model = mujoco.MjModel.from_xml_path(str(folder / "object.xml"))
-    assert top == model.body(1).name == "cabinet"
-
-
 def test_surface_friction_is_read_back_from_urdf(folder):
     result = import_urdf(folder / "object.urdf").spec
     materials = {
@@ -121,11 +113,3 @@ def test_shrunk_colliders_are_restored(folder, cabinet):
         one, other = part_bounds(own, p), part_bounds(made, twin)
         # The ellipsoid is a mesh, and facets of round things lie within.
         assert np.allclose(one, other, atol=1e-3 if p.name == "knob" else 2e-5), p.name
-
-
-def test_an_srdf_lists_the_pairs_that_never_collide(folder):
-    root = ET.parse(folder / "object.srdf").getroot()
-    pairs = {(e.get("link1"), e.get("link2")) for e in root.iter("disable_collisions")}
-    assert ("cabinet", "drawer") in pairs and ("links", "knob") in pairs
-    links = {e.get("name") for e in ET.parse(folder / "object.urdf").getroot().findall("link")}
-    assert {name for pair in pairs for name in pair} <= links

@@ -1,6 +1,5 @@
 """Scenes as SDF worlds, and world poses in scene.json."""
 
-import json
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from neoworld_mjx.export import export_scene
 from neoworld_mjx.export.write_sdf import sdf_text
-from neoworld_mjx.spec import SceneSpec, world_poses
+from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import matrix as rotation
 
 
@@ -48,14 +47,6 @@ def test_an_sdf_world_has_the_poses_of_all_objects(folder, scene):
     assert joints["hinge"].find("axis/limit/upper").text == "1.6"
     frames = {f.get("name"): f.get("attached_to") for f in models["box"].findall("frame")}
     assert frames["pull"] == "knob" and frames["drawer_handle"] == "drawer"
-
-
-def test_scene_json_has_world_poses_and_is_read_back(folder, scene):
-    text = (folder / "scene.json").read_text()
-    poses = json.loads(text)["world_poses"]
-    for name, at in world_poses(scene).items():
-        assert np.allclose(poses[name]["pos"], at.pos) and np.allclose(poses[name]["quat"], at.quat)
-    assert SceneSpec.model_validate_json(text) == scene
 
 
 def test_names_in_an_sdf_model_are_unique(cabinet):

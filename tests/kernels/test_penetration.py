@@ -164,10 +164,3 @@ def test_the_gradient_is_finite_for_concentric_colliders(mixed):
     )
     assert (depths[0] > 0.001).sum() > 30
     assert all(np.isfinite(g).all() for g in grad)
-
-
-def test_depth_is_zero_without_pieces_or_samples(mixed):
-    none = without(mixed.colliders, *Colliders._fields)
-    assert not np.asarray(pair_depth_culled(*mixed.where, mixed.samples, none)).any()
-    nobody = [x[:0] for x in mixed.where]
-    assert pair_depth_culled(*nobody, mixed.samples, mixed.colliders).shape == (0, 7, 7)

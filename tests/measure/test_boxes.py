@@ -10,7 +10,6 @@ from neoworld_mjx.measure.boxes import (
     intersection_2d,
     intersection_3d,
     iou_2d,
-    polygon_intersection,
     support_footprint,
     upright,
 )
@@ -42,25 +41,6 @@ def test_the_shared_area_of_boxes_in_pixels(a, b, shared):
     assert iou_2d(a, b) == pytest.approx(shared / (area(a) + area(b) - shared))
 
 
-def test_an_empty_or_reversed_box_overlaps_nothing():
-    assert iou_2d((1, 1, 1, 1), (1, 1, 1, 1)) == 0.0
-    assert iou_2d((2, 0, 0, 2), (0, 0, 1, 1)) == 0.0
-    assert iou_2d((0, 2, 2, 0), (3, 3, 4, 5)) == 0.0
-    assert iou_2d(PIXELS, PIXELS) == 1.0 and iou_2d(PIXELS, (1, 2, 4, 5)) == 0.5
-
-
-def test_a_footprint_is_turned_about_the_boxs_center():
-    box = Box3D(position=(1.0, 2.0, 5.0), size=(0.4, 0.2, 1.0))
-    corners = [[0.8, 1.9], [1.2, 1.9], [1.2, 2.1], [0.8, 2.1]]
-    np.testing.assert_allclose(footprint(box), corners)
-    quarter = box.model_copy(update={"yaw": math.pi / 2})
-    turned = [[1.1, 1.8], [1.1, 2.2], [0.9, 2.2], [0.9, 1.8]]
-    np.testing.assert_allclose(footprint(quarter), turned)
-    # A heading of 30 degrees turns +x towards +y.
-    front = footprint(box.model_copy(update={"yaw": math.pi / 6}))[1:3].mean(axis=0)
-    np.testing.assert_allclose(front, [1 + 0.2 * math.cos(math.pi / 6), 2.1])
-
-
 def test_a_supports_outline_is_scaled_and_turned_with_its_box():
     box = Box3D(position=(1.0, 2.0, 0.0), size=(0.4, 0.2, 1.0), yaw=math.pi / 2)
     np.testing.assert_allclose(support_footprint(node(box)), footprint(box))
@@ -74,46 +54,6 @@ def test_a_supports_outline_is_scaled_and_turned_with_its_box():
     lying = tuple(from_axis_angle([0, 1, 0], math.pi / 2).tolist())
     tilted = node(box, outline=triangle, base_tilt=lying)
     np.testing.assert_allclose(support_footprint(tilted), footprint(upright(tilted)))
-
-
-def test_a_tilted_box_has_an_upright_one_around_it():
-    box = Box3D(position=(1.0, 2.0, 0.5), size=(0.4, 0.2, 1.0), yaw=0.3)
-    assert upright(node(box)) is box
-    for sign in (-1, 1):
-        lying = tuple(from_axis_angle([0, 1, 0], sign * math.pi / 2).tolist())
-        around = upright(node(box, base_tilt=lying))
-        np.testing.assert_allclose(around.size, [1.0, 0.2, 0.4], atol=1e-12)
-        # The box falls to its front or back, so that its middle is half its height ahead.
-        middle = [1 + sign * 0.5 * math.cos(0.3), 2 + sign * 0.5 * math.sin(0.3), 0.5]
-        np.testing.assert_allclose(around.position, middle)
-    leaning = tuple(from_axis_angle([1, 0, 0], 0.4).tolist())
-    around = upright(node(box, base_tilt=leaning))
-    corners = box.corners(leaning)
-    flat = footprint(around)
-    for corner in corners[:, :2]:
-        assert (
-            polygon_intersection(flat, corner + 1e-4 * (footprint(around) - flat.mean(axis=0))) > 0
-        )
-    assert around.position[2] == corners[:, 2].min() == 0.5
-    assert around.size[2] == pytest.approx(np.ptp(corners[:, 2]))
-    assert around.yaw == 0.3
-    slight = tuple(from_axis_angle([1, 0, 0], 1e-3).tolist())
-    assert upright(node(box, base_tilt=slight)) is not box
-
-
-def test_the_shared_area_of_polygons():
-    square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
-    triangle = np.array([[1.0, 1], [3, 1], [1, 3]])
-    assert polygon_intersection(square, square) == pytest.approx(4.0)
-    assert polygon_intersection(square, triangle) == pytest.approx(1.0)
-    assert polygon_intersection(triangle, square) == pytest.approx(1.0)
-    assert polygon_intersection(square, square + [3.0, 0.0]) == 0.0
-    assert polygon_intersection(square, square + [2.0, 0.0]) == 0.0
-    assert polygon_intersection(square, 0.25 * square + 0.5) == pytest.approx(0.25)
-    # A concave one, of which the other covers the notch.
-    ell = np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])
-    assert polygon_intersection(ell, square) == pytest.approx(3.0)
-    assert polygon_intersection(ell, square + 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_shared_volume_of_boxes():

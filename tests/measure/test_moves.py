@@ -39,10 +39,3 @@ def test_a_heading_turns_the_shorter_way_and_a_tilt_counts_in_the_whole_rotation
     tilted = changed(scene, base_tilt=tuple(from_axis_angle([1, 0, 0], 0.5).tolist()))
     move = object_moves(changed(scene, yaw=0.0), tilted.model_copy())["low"]
     assert move.turn_deg > 28.0
-
-
-def test_an_object_of_one_scene_alone_is_left_out():
-    scene = scenes.blocks()
-    fewer = scene.model_copy(update={"objects": scene.objects[:-1]})
-    last = scene.objects[-1].name
-    assert last not in object_moves(scene, fewer) and last not in object_moves(fewer, scene)

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from neoworld_mjx.errors import BudgetError, ConfigError
+from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.mllm import Ledger, Price, Usage, load_prices
 from neoworld_mjx.mllm.ledger import price_of, token_bound
 
@@ -62,17 +62,6 @@ def test_unknown_price_is_unknown_cost():
     assert books["known_cost_usd"] == 1
     assert books["models_without_price"] == ["x"]
     assert books["tokens"]["input"] == 1_000_005
-
-
-def test_an_earlier_ledger_adds_to_a_new_one(make):
-    first = Ledger(2.0, PRICES)
-    first.add("critic", "m", Usage(1_000_000), failed=True)
-    second = Ledger(2.0, PRICES)
-    second.add_earlier(first.to_json())
-    assert second.to_json() == first.to_json()
-    with pytest.raises(BudgetError, match=r"1\.0000 USD of 2 are spent"):
-        asyncio.run(reserve(second, make.request(), 100_000))
-    asyncio.run(reserve(second, make.request(), 1000))
 
 
 async def reserve(ledger, request, max_tokens, then=lambda: None):

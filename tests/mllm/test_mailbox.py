@@ -119,15 +119,6 @@ def test_a_request_continues_after_a_timeout(make, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0001-parse", "0002-parse"]
 
 
-def test_an_unwritable_mailbox_is_one_error(make, tmp_path):
-    (tmp_path / "file").write_text("")
-    with (
-        panel_of(tmp_path / "file") as panel,
-        pytest.raises(ModelError, match=r"parse: mailbox .*file"),
-    ):
-        panel.ask_sync(make.request())
-
-
 def test_names_cannot_leave_the_mailbox(make, tmp_path):
     requests = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
     with panel_of(tmp_path / "box", timeout_s=0.05) as panel, pytest.raises(ModelError):
@@ -232,37 +223,3 @@ def test_a_mailbox_that_a_stranger_writes_ends_in_one_message(make, tmp_path, na
         assert (precious / "error.md").read_text() == "precious"
         assert (precious / "response.json").read_text() == '{"name": 3}'
     assert (precious / "key.json").read_text() == '{"name": "secret"}'
-
-
-def test_a_response_that_is_taken_back_is_waited_for_again(make, tmp_path, monkeypatch):
-    """It may go between the look at its folder and its opening, or before it is rejected."""
-    read, gone = mailbox.read_bytes, []
-
-    def taken_back(path, *arguments, **options):
-        data = read(path, *arguments, **options)
-        if len(gone) < 2:
-            gone.append(path.unlink())
-            in_background(lambda: (time.sleep(0.05), path.write_text('{"name": "red"}')))
-            if len(gone) == 1:
-                raise FileNotFoundError(2, "No such file or directory", str(path))
-            return b'{"name": 3}'
-        return data
-
-    monkeypatch.setattr(mailbox, "read_bytes", taken_back)
-    in_background(
-        lambda: (wait_for(tmp_path / "0001-parse") / "response.json").write_text('{"name": "red"}')
-    )
-    with panel_of(tmp_path) as panel:
-        assert panel.ask_sync(make.request()).value.name == "red"
-
-
-@pytest.mark.parametrize("number", ["999999999", "1000000000", "99999999999999999999"])
-def test_folders_of_any_number_leave_room_for_the_next_request(make, tmp_path, number):
-    for name in (f"{number}-parse", "1000000001-parse"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "mine.txt").write_text("mine")
-    for prompt in ("one", "two"):
-        with panel_of(tmp_path, timeout_s=0.1) as panel, pytest.raises(ModelError, match="within"):
-            panel.ask_sync(make.request(prompt=prompt))
-    assert len(list(tmp_path.glob("*/request.json"))) == 2
-    assert len(list(tmp_path.glob("*/mine.txt"))) == 2

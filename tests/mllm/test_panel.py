@@ -9,10 +9,6 @@ import pytest
 
 from neoworld_mjx.config import RoleOptions
 from neoworld_mjx.errors import BudgetError, ModelError
-from neoworld_mjx.mllm import Panel, Tape
-from neoworld_mjx.mllm.panel import hide
-from neoworld_mjx.mllm.replay import Replay
-from neoworld_mjx.mllm.requests import Reply
 from tests.mllm.conftest import KEY, ask_all
 from tests.support.model_server import GOOD, answer_of, fails, hangs, http, says
 
@@ -144,27 +140,3 @@ def test_one_panel_serves_several_event_loops(connect, make):
     assert asyncio.run(ask_within_a_running_loop()).value.name == "red"
     panel.close()
     assert panel.ask_sync(make.request(prompt="anew")).value.name == "red"
-
-
-def test_waiting_time_of_concurrent_requests_counts_once(make, monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr("neoworld_mjx.mllm.panel.time.perf_counter", lambda: now[0])
-
-    class Slow(Replay):
-        async def reply(self, request, role, rejected):
-            now[0] += 1.0
-            await asyncio.sleep(0)
-            now[0] += 1.0
-            return Reply('{"name": "red"}', None, "slow")
-
-    with Panel(Slow(Tape(), "none")) as panel:
-        ask_all(panel, [make.request(prompt=prompt) for prompt in ("one", "two")])
-        now[0] += 10.0
-        ask_all(panel, [make.request(prompt="three")])
-        assert panel.waited_s == 4.0 + 2.0
-
-
-def test_of_secrets_that_begin_alike_no_tail_is_left():
-    secrets = ("token-1234", "token-1234-and-5678", "1234-and")
-    for order in (secrets, secrets[::-1]):
-        assert hide("a token-1234-and-5678 b token-1234 c", order) == "a [key] b [key] c"

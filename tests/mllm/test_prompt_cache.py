@@ -2,8 +2,6 @@
 
 import threading
 
-import pytest
-
 from neoworld_mjx.mllm import Usage, server
 from neoworld_mjx.mllm.requests import response_rule
 from tests.mllm.conftest import ask_all
@@ -41,25 +39,6 @@ def test_one_request_writes_the_instructions_and_the_others_read_them(make, conn
     assert script.reads[6:] == [False, True, True]
     usage = panel.ledger.to_json()["tokens"]
     assert usage == vars(Usage(input=2 * 1010 + 7 * 10, output=18, cache_read=7000))
-
-
-@pytest.mark.parametrize("dialect", ["anthropic", "openai"])
-def test_a_slow_first_request_does_not_hold_up_the_others(make, connect, monkeypatch, dialect):
-    monkeypatch.setattr(server, "CACHE_S", 0.01)
-    arrived = threading.Semaphore(0)
-
-    def first(model_server, connection, body):
-        for _ in range(3):  # It answers when the others have arrived.
-            assert arrived.acquire(timeout=60)
-        connection.sendall(http(200, answer_of(dialect, "m", GOOD)))
-
-    def later(model_server, connection, body):
-        arrived.release()
-        connection.sendall(http(200, answer_of(dialect, "m", GOOD)))
-
-    _, panel = connect(dialect, first, later)
-    responses = ask_all(panel, [make.request(prompt=f"object {k}") for k in range(4)])
-    assert [response.value.name for response in responses] == 4 * ["red"]
 
 
 def test_a_schema_in_a_prompt_is_short(make):

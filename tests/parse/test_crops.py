@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse.crops import MARGIN, MARK, colour_in_box, crops
-from neoworld_mjx.parse.photo import Photo, enlarged
+from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.spec import Box2D
 from tests.support import answers
 
@@ -53,21 +53,3 @@ def test_colours_leave_out_other_objects():
     tree = scene()
     tree = answers.with_node(tree, "can", box2d=tree.node("right").box2d)
     assert np.allclose(colour_in_box(photo, tree, tree.node("left")), np.array([200, 20, 20]) / 255)
-
-
-def test_crops_of_a_shrunk_photo_are_cut_from_what_is_shown():
-    small = answers.photo((400, 300), original=(800, 600))
-    image = np.array(Image.open(io.BytesIO(crops(small, scene())["right"].picture.data)))
-    assert image.shape[:2] == (7 * (50 + 2 * 8), 7 * (50 + 2 * 8))
-    assert crops(small, scene())["right"].window == (384, 284, 516, 416)
-
-
-def test_enlarging_keeps_means_and_ramps_evenly():
-    row = np.array([[[0, 10, 200], [40, 10, 100]]], np.uint8)
-    large = enlarged(row, 8)
-    assert large.shape == (4, 8, 3)
-    assert large[0, :, 0].tolist() == [0, 0, 5, 15, 25, 35, 40, 40]
-    assert (large[..., 1] == 10).all()
-    assert (large == large[0]).all()
-    assert enlarged(row, 2) is row
-    assert enlarged(row, 1000).shape == (8, 16, 3)

@@ -4,7 +4,6 @@ import asyncio
 import copy
 import dataclasses
 import io
-import math
 
 import numpy as np
 import pytest
@@ -15,11 +14,6 @@ from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.parse.draw_measured import (
     DEPTH_INK,
-    FINE,
-    GRID,
-    STRONG,
-    X_INK,
-    Y_INK,
     draw_measured,
 )
 from neoworld_mjx.parse.parse import parse
@@ -62,28 +56,6 @@ def test_grid_lies_on_the_ground_every_ten_centimeters():
     assert not any(drawn(x, y) for x in (0.65, 0.75) for y in (0.15, -0.15, 0.05, -0.05))
 
 
-def test_lines_end_where_they_would_be_too_dense():
-    high = dataclasses.replace(KNOWN, height=1.2, pitch=0.3, roll=0.0)
-    image = pixels(draw_measured(answers.photo(), high, None))[:, 440:700]
-    fine, bold = (
-        np.flatnonzero(
-            (image == np.floor(128.5 + share * (np.array(GRID) - 128))).all(-1).mean(1) > 0.5
-        )
-        for share in (FINE, STRONG)
-    )
-    assert len(fine) > 3 and len(bold) > 5
-    assert min(bold) > 300 - CAMERA.focal * math.tan(0.3)  # Below the horizon.
-    assert fine.min() > bold.min() + 50  # Only bold lines are far.
-    assert min(np.diff(bold).min(), np.diff(fine).min()) >= 9
-
-
-def test_labels_have_the_place_of_their_line():
-    image = pixels(draw_measured(answers.photo(), KNOWN, None))
-    for ink in (X_INK, Y_INK):
-        assert (image == ink).all(axis=-1).sum() > 500
-    assert not (image == DEPTH_INK).all(axis=-1).any()
-
-
 def test_depths_are_written_where_they_are_measured():
     values = np.full((60, 80), 0.75)
     values[:, 40:] = np.nan
@@ -112,11 +84,6 @@ def test_no_grid_without_the_whole_camera(change):
     assert draw_measured(answers.photo(), known, relative) is None
     both = draw_measured(answers.photo(), known, DepthImage(np.ones((60, 80))))
     assert both.depths and not both.grid
-
-
-def test_a_camera_that_looks_straight_down_has_a_grid():
-    down = dataclasses.replace(KNOWN, pitch=math.pi / 2)
-    assert (cyan(pixels(draw_measured(answers.photo(), down, None))) > 30).sum() > 2000
 
 
 def test_requests_without_measurements_are_unchanged():

@@ -4,14 +4,13 @@ import re
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.estimate.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import correction_request, listing, parse_request
+from neoworld_mjx.parse.prompts import correction_request, parse_request
 from neoworld_mjx.parse.schema import ParsedScene, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues
 from neoworld_mjx.spec.pose import rotate
@@ -152,13 +151,6 @@ def test_the_tree_is_validated_with_the_response(change, said):
         read_response(json.dumps(data), ParsedScene)
 
 
-def test_objects_with_occluders_are_occluded():
-    data = answers.answer(answers.item("a", occluded_by=["b", "b"]), answers.item("b"))
-    node = tree(data).node("a")
-    assert node.occluded
-    assert node.occluded_by == ("b",)
-
-
 def test_the_example_of_the_instructions_is_valid():
     guide = package_text("neoworld_mjx.parse", "reasoner")
     example = guide[guide.index('    {"observations"') : guide.index("And a cabinet")]
@@ -175,24 +167,6 @@ def test_a_repair_request_repeats_the_response_and_the_findings():
     assert mend.parts["pictures"] == first.parts["pictures"]
     assert "- can: it floats" in mend.prompt
     assert '"name": "can"' in mend.prompt
-
-
-def test_the_listing_gives_the_critic_supports_and_openings():
-    data = answers.desk()
-    data["objects"][1]["articulation"] = [{"part": "lid", "motion": "revolute", "opening": 0.5}]
-    message = listing(ParsedScene.model_validate(data))
-    assert "- can (soda can): on left; box 10 10 90 90" in message
-    assert "lid revolute 50% open" in message
-    assert "no support" in message
-
-
-def test_the_uncertainty_of_the_camera_reaches_the_tree():
-    data = answers.desk()
-    data["camera"] |= {"pitch_doubt_deg": 3.0, "height_doubt": 0.2}
-    tree = to_tree(ParsedScene.model_validate(data), answers.photo())
-    assert tree.pitch_sd == pytest.approx(math.radians(3.0)) and tree.height_sd == 0.2
-    with pytest.raises(ValidationError, match=r"pitch_doubt_deg\n.* must lie in"):
-        ParsedScene.model_validate(data | {"camera": data["camera"] | {"pitch_doubt_deg": -1.0}})
 
 
 @pytest.mark.parametrize(

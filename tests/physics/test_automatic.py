@@ -1,12 +1,9 @@
 """The engine that `auto` opens, by hardware, and the memory that JAX leaves to it."""
 
-import importlib.util
-import os
-
 import jax
 import pytest
 
-from neoworld_mjx.engines import ENGINES, share_gpu_memory
+from neoworld_mjx.engines import ENGINES
 from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.engine import open_engine
 
@@ -37,15 +34,3 @@ def test_auto_is_native_on_a_cpu_else_warp_or_mjx(monkeypatch, backend, runs, op
     assert open_engine("auto").name == opened
     with pytest.raises(EngineError, match="did you mean 'native'"):
         open_engine("nativ")
-
-
-@pytest.mark.parametrize(("installed", "expected"), [(True, "false"), (False, None)])
-def test_jax_leaves_memory_to_warp(monkeypatch, installed, expected):
-    variable = "XLA_PYTHON_CLIENT_PREALLOCATE"
-    monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: installed or None)
-    share_gpu_memory()
-    assert os.environ.get(variable) == expected
-    monkeypatch.setenv(variable, "true")
-    share_gpu_memory()
-    assert os.environ[variable] == "true"

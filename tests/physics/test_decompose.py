@@ -23,37 +23,6 @@ pytestmark = pytest.mark.skipif(not coacd_installed(), reason="CoACD is not inst
 OUTER, INNER = 0.1, 0.085
 
 
-def bowl(corners: int, sections: int) -> trimesh.Trimesh:
-    """Return a closed bowl, half a sphere with a wall."""
-    angle = np.linspace(0, np.pi / 2, corners)
-    profile = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    inner = INNER * profile[::-1] + [0, OUTER - INNER]
-    return trimesh.creation.revolve(np.concatenate([OUTER * profile, inner]), sections=sections)
-
-
-def agreement(pieces: list[np.ndarray]) -> float:
-    """Return the intersection over union of the volumes of pieces and bowl."""
-    points = np.random.default_rng(0).uniform([-0.1, -0.1, 0], [0.1, 0.1, 0.1], (20_000, 3))
-    radius = np.linalg.norm(points - [0, 0, OUTER], axis=1)
-    true = (radius <= OUTER) & (radius >= INNER)
-    within = np.zeros(len(points), bool)
-    for piece in pieces:
-        planes = ConvexHull(piece).equations
-        within |= (points @ planes[:, :3].T + planes[:, 3] <= 1e-9).all(axis=1)
-    return float((true & within).sum() / (true | within).sum())
-
-
-@pytest.mark.slow
-def test_a_bowl_of_many_faces_stays_hollow(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
-    mesh = bowl(50, 200)
-    assert len(mesh.faces) > 19_000
-    with bounded_by(FileOptions(decompose_s=40.0)):
-        pieces = convex_pieces(mesh.vertices, mesh.faces).pieces
-    assert len(pieces) > 1
-    assert agreement(pieces) > 0.75 > 0.5 > agreement([np.asarray(mesh.vertices)])
-
-
 def _without(mesh: trimesh.Trimesh, *faces: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, faces, axis=0), process=False)
 
@@ -72,21 +41,6 @@ def test_an_open_mesh_is_split_into_its_components():
     assert len(pieces) == 5
     volume = sum(ConvexHull(piece).volume for piece in pieces)
     assert volume == pytest.approx(2 * 0.3 * 0.02 + 3 * 0.3 * 0.78 * 0.02, rel=1e-6)
-
-
-def tray_of_a_box() -> trimesh.Trimesh:
-    box = trimesh.creation.box((0.4, 0.3, 0.2))
-    return _without(box, *np.flatnonzero(box.face_normals[:, 2] > 0.9))
-
-
-@pytest.mark.slow
-def test_an_open_box_stays_hollow():
-    tray = tray_of_a_box()
-    pieces = _coacd(Path("tray"), np.asarray(tray.vertices), np.asarray(tray.faces))
-    assert len(pieces) > 1
-    for piece in pieces:
-        planes = ConvexHull(piece).equations
-        assert (planes[:, 3] > 0).any(), "the middle of the tray is inside a piece"
 
 
 def bracket() -> trimesh.Trimesh:
@@ -111,12 +65,6 @@ def test_closed_meshes_that_face_inwards_are_turned(solid, wrong):
     turned = trimesh.Trimesh(solid.vertices, outward(solid.vertices, faces), process=False)
     assert turned.volume == pytest.approx(solid.volume)
     assert np.array_equal(outward(solid.vertices, solid.faces), solid.faces)
-
-
-def test_open_meshes_are_not_turned():
-    tray = tray_of_a_box()
-    for faces in (tray.faces, tray.faces[:, ::-1]):
-        assert np.array_equal(outward(tray.vertices, faces), faces)
 
 
 def test_a_mesh_leaves_time_to_the_others():

@@ -13,9 +13,7 @@ from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine, open_batch
-from neoworld_mjx.physics.recorder import read_states
 from neoworld_mjx.search.rewards import drifts
-from neoworld_mjx.spec.pose import from_axis_angle, quat_mul
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout
 
@@ -126,18 +124,6 @@ def test_joint_shifts_are_angles_and_distances_from_each_candidates_start():
     moved = np.abs(batch.bind("qpos") - start)[:, static.mjm.jnt_qposadr[static.joints]]
     assert np.allclose(rollout.joint_shift[:, 0], moved, atol=1e-7)
     assert moved.max() > 1e-4
-
-
-def test_the_shift_of_a_ball_is_its_angle():
-    scene = compile_scene(scenes.lamp())
-    (joint,) = scene.static.joints
-    address = scene.static.mjm.jnt_qposadr[joint]
-    qpos = np.tile(scene.static.start, (1, 2, 1)).astype(np.float32)
-    start = scene.static.start[address : address + 4]
-    qpos[0, 1, address : address + 4] = quat_mul(start, from_axis_angle((1, 2, 3), 0.3))
-    poses = scene.place(Layout.zero(1, len(scene.names)))
-    shift = read_states(scene.static, poses, qpos)[2]
-    assert np.allclose(shift[0, :, 0], [0, 0.3], atol=1e-6)
 
 
 def test_an_unknown_engine_names_the_valid_ones():

@@ -4,16 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.physics.layout import (
     Layout,
     arrange,
     compose_poses,
-    diagonal,
     frames,
     heights,
-    place,
     rotation,
 )
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
@@ -93,28 +90,6 @@ def test_an_object_is_scaled_and_tilted_before_it_turns_on_its_support(degrees):
     assert poses.pos[1, 1] == pytest.approx(np.array([0.5 + 0.02, 0.1, 0.06]), abs=1e-5)
 
 
-def test_an_object_beside_its_support_keeps_its_composed_height():
-    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    scene = compile_scene(scenes.on_table((block, (0.1, 0.0), 0.0, {"z": 0.3})), samples=16)
-    assert diagonal(scene.spec.object("block")) == pytest.approx(np.hypot(0.1, 0.1))
-    beside = np.zeros((1, 2, 2), np.float32)
-    beside[0, 1, 0] = 2.0
-    zero = Layout.zero(1, 2)
-    poses = place(scene.arrangement, Layout(jnp.asarray(beside), zero.yaw, zero.log_scale))
-    assert float(poses.height[0, 1]) == pytest.approx(0.3, abs=1e-6)
-    # Its height is measured from the parent's origin, so it grows with the parent.
-    double = zero.log_scale.at[0, 0].set(np.log(2.0))
-    far = snapped(scene.arrangement, Layout(2 * jnp.asarray(beside), zero.yaw, double))
-    assert float(far[0, 1]) == pytest.approx(2 * 0.3, abs=1e-6)
-
-
-@pytest.mark.parametrize("xp", [np, jnp])
-def test_rotation_is_that_of_scipy(xp):
-    turns = Rotation.random(12, random_state=0)
-    quat = xp.asarray(turns.as_quat(scalar_first=True).reshape(3, 4, 4), np.float32)
-    assert rotation(quat, xp) == pytest.approx(turns.as_matrix().reshape(3, 4, 3, 3), abs=1e-6)
-
-
 @pytest.mark.parametrize("xp", [np, jnp])
 def test_a_chain_of_three_on_a_frame_beside_its_parent(xp):
     """Each offset is scaled by its own parent, and turned by the yaws below it."""
@@ -135,11 +110,6 @@ def test_a_chain_of_three_on_a_frame_beside_its_parent(xp):
     # The top one is turned by 90 + 90 + 180 degrees.
     expected = [[1.0, 2.0, 0.5], second, second + [0.6, 1.2, 0.8]]
     assert poses.pos[0] == pytest.approx(np.array(expected), abs=1e-5)
-
-
-def small_block():
-    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    return scenes.on_table((block, (0.1, 0.0), 0.0, {}))
 
 
 def test_an_object_that_is_turned_over_a_step_rests_on_it():

@@ -8,7 +8,6 @@ from neoworld_mjx.spec import (
     SceneObject,
     SceneSpec,
     inertial,
-    joint_value,
     link_poses,
     pieces,
     world_poses,
@@ -100,20 +99,6 @@ def test_joint_parameters_are_written():
     data = start(model)
     site = data.site_xpos[model.site("cabinet-pull").id]
     assert np.allclose(site, (0.21, -0.18, 0.15))
-
-
-def test_a_mimic_joint_starts_at_its_leaders_position():
-    items = scene()
-    model = to_mjspec(items).compile()
-    data = start(model)
-    flap = items.objects[1].spec.joints[4]
-    want = joint_value(items.objects[1].spec, flap, items.objects[1].joint_state)
-    assert (
-        data.qpos[model.joint("box-follow").qposadr[0]] == pytest.approx(want) == pytest.approx(0.6)
-    )
-    mujoco.mj_forward(model, data)
-    residual = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
-    assert np.allclose(residual, 0.0, atol=1e-12)
 
 
 def test_parts_that_a_joint_connects_never_collide_free_or_fixed():

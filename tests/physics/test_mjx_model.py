@@ -83,12 +83,6 @@ def test_a_ball_rolls_without_slipping(slope, rollouts):
     assert moved(rollouts[0], "ball", slope)[0, 0] == pytest.approx(way, rel=0.03)
 
 
-def test_a_tall_block_topples(slope, rollouts):
-    k = slope.names.index("tall")
-    _, x, y, _ = np.asarray(rollouts[0].quat[0, -1, k])
-    assert 1 - 2 * (x * x + y * y) < 0.2
-
-
 def test_a_lid_falls_shut_and_stays_within_its_limits(slope, rollouts):
     shift = np.asarray(rollouts[0].joint_shift[0, -1, 0])
     assert shift == pytest.approx(0.8, abs=0.05)
@@ -116,9 +110,3 @@ def test_a_candidate_that_is_not_a_number_fails_alone(rollouts):
     ours, _, _ = rollouts
     assert ours.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
     assert np.array_equal(ours.pos[0], ours.pos[3])
-
-
-def test_results_do_not_depend_on_the_order_of_candidates(rollouts):
-    ours, back, _ = rollouts
-    fine = [0, 1, 3]
-    assert np.array_equal(np.asarray(ours.pos)[fine], np.asarray(back.pos)[::-1][fine])

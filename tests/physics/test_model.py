@@ -1,17 +1,11 @@
 """SceneModel: its repr, its errors for wrong types, and what JAX may transform."""
 
-import inspect
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.errors import SpecError
-from neoworld_mjx.physics import model
-from neoworld_mjx.physics.engine import rollout
-from neoworld_mjx.physics.layout import Layout, place
-from neoworld_mjx.physics.model import load_scene
+from neoworld_mjx.physics.layout import place
 from neoworld_mjx.physics.model_fields import model_fields
 from tests.support import scenes
 from tests.support.scenes import compile_scene, random_layout
@@ -20,24 +14,6 @@ from tests.support.scenes import compile_scene, random_layout
 @pytest.fixture(scope="module")
 def blocks():
     return compile_scene(scenes.blocks(), samples=16)
-
-
-def test_a_type_error_names_the_function_to_call(blocks):
-    # Shape checks at run time would refuse the arguments first.
-    roll_out, load, compile_ = map(inspect.unwrap, (rollout, load_scene, model.compile_scene))
-    layouts = Layout.zero(2, 4)
-    with pytest.raises(SpecError, match=r"SceneSpec, not a SceneModel.*compile_scene"):
-        roll_out(scenes.blocks(), layouts)
-    with pytest.raises(SpecError, match=r"str, not a SceneModel.*load_scene"):
-        roll_out("scene.json", layouts)
-    with pytest.raises(SpecError, match="not a Layout"):
-        roll_out(blocks, blocks.place(layouts))
-    with pytest.raises(SpecError, match=r"shape \(2, 3\), not \(pop, 4\)"):
-        roll_out(blocks, Layout.zero(2, 3))
-    with pytest.raises(SpecError, match="compile_scene takes a SceneSpec"):
-        load(scenes.blocks())
-    with pytest.raises(SpecError, match="load_scene takes"):
-        compile_("scene.json")
 
 
 def test_place_and_model_fields_may_be_jitted_and_vmapped(blocks):

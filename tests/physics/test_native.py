@@ -65,10 +65,3 @@ def test_overwritten_models_equal_fresh_copies(monkeypatch):
     fresh = NativeEngine().rollout(other, other.place(second), duration=0.1)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
         assert np.array_equal(a, b)
-
-
-def test_a_scene_without_movable_objects_stays_in_place():
-    scene = compile_scene(scenes.on_table())
-    rollout = NativeEngine().rollout(scene, scene.place(Layout.zero(3, 1)), early_stop=EarlyStop())
-    assert not set(rollout.status.tolist()) & {int(RolloutStatus.FAILED)}
-    assert np.array_equal(rollout.pos[:, -1], rollout.start.pos)

@@ -104,18 +104,3 @@ def test_tilt_is_compared_with_the_bound_of_what_the_object_is(bodies):
         assert turned(bodies, free, about_x=2.0) == pytest.approx(0.0, abs=1e-12)
     # A small plate of twice the size is not small.
     assert turned(bodies, "small", about_x=SMALL_TURN, scale=2.0) == pytest.approx(9 / 15)
-
-
-def test_a_shift_is_compared_with_the_size_of_the_object(bodies):
-    size = 0.3  # diagonal of 20 x 20 x 10 cm
-    sideways = turned(bodies, "plate", shift=(0.03, 0.04, 0.0))
-    assert sideways == pytest.approx(0.05 / (0.25 * size))
-    for sign in (1, -1):
-        vertical = turned(bodies, "plate", shift=(0.0, 0.0, sign * 0.01))
-        assert vertical == pytest.approx(0.01 / (0.1 * size + 0.01))
-    larger = turned(bodies, "plate", shift=(0.03, 0.04, 0.0), scale=2.0)
-    assert larger == pytest.approx(0.05 / (0.25 * 2 * size))
-    # The largest one counts.
-    both = turned(bodies, "plate", shift=(0.03, 0.0, -0.03), about_x=SMALL_TURN)
-    assert both == pytest.approx(max(9 / 20, 0.03 / 0.075, 0.03 / 0.04))
-    assert turned(bodies, "table", shift=(1.0, 1.0, 1.0), about_x=1.0) == 0.0

@@ -56,25 +56,6 @@ def test_a_decelerating_object_settles_and_an_accelerating_one_does_not(blocks):
     assert faster == (RolloutStatus.OK, 250)
 
 
-def test_quivering_stops_beyond_the_stability_bounds_only(blocks):
-    quiver = lambda k: 0.02 + 0.01 * (k % 2)
-    past = {"away": lambda k: 0.015, "turned": lambda k: 0.1}
-    for name, value in past.items():
-        status, steps = steps_until_stopped(blocks, speed=quiver, **{name: value})
-        assert (status, steps) == (RolloutStatus.SETTLED, 4 * STEPS), name
-    within = steps_until_stopped(blocks, speed=quiver, away=lambda k: 0.008, turned=lambda k: 0.05)
-    assert within == (RolloutStatus.OK, 250)
-
-
-def test_a_sliding_object_runs_until_it_drifts(blocks):
-    slide = lambda k: 0.011 + 0.0006 * k
-    assert steps_until_stopped(blocks, speed=lambda k: 0.03, away=slide) == (RolloutStatus.OK, 250)
-    assert steps_until_stopped(blocks, speed=lambda k: 0.2, away=lambda k: 0.0041 * k) == (
-        RolloutStatus.DRIFTED,
-        26 * STEPS,
-    )
-
-
 def test_only_records_beyond_the_bounds_make_a_candidate_invalid(blocks):
     quiver = lambda k: 0.02 + 0.01 * (k % 2)
     back = lambda k: 0.02 if k == 4 else 0.0

@@ -6,7 +6,7 @@ import pytest
 
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.physics.native import open_batch
-from neoworld_mjx.spec import bounds, inertial, scale
+from neoworld_mjx.spec import scale
 from tests.support import scenes
 from tests.support.scenes import random_layout
 
@@ -71,27 +71,6 @@ def test_model_fields_equal_a_recompiled_scene(make):
         loose = {n: e for n, e in errors.items() if e > bound.get(n, 1e-9)}
         assert not loose, loose
         assert np.allclose(batch.bind("qpos")[k], again.static.start, atol=1e-12)
-
-
-@pytest.mark.parametrize("s", [0.5, 1.7])
-def test_scale_of_an_object(s):
-    spec = scenes.cabinet()
-    big = scale(spec, s)
-    for part in spec.parts:
-        a, b = inertial(spec, part), inertial(big, big.part(part.name))
-        m = 0.0 if part.mass is not None else 3.0
-        assert b.mass == pytest.approx(a.mass * s**m)
-        assert np.allclose(b.pos, np.array(a.pos) * s, atol=1e-12)
-        assert np.allclose(b.diagonal, np.array(a.diagonal) * s ** (m + 2), rtol=1e-9)
-        assert np.allclose(b.quat, a.quat)
-    assert np.allclose(np.array(bounds(big)), np.array(bounds(spec)) * s)
-    slide, hinge, turn = big.joints
-    assert slide.upper == pytest.approx(0.3 * s)
-    assert slide.effort == pytest.approx(30 * s**3)
-    assert hinge.lower == -1.5
-    assert hinge.damping == pytest.approx(0.1 * s**1.5)  # the door's mass is authored
-    assert turn.mimic.multiplier == pytest.approx(2.0 / s)
-    assert big.sites[0].pos[0] == pytest.approx(spec.sites[0].pos[0] * s)
 
 
 def test_scaled_motion_is_similar():

@@ -75,22 +75,6 @@ def test_no_overlap_is_missed_and_its_depth_is_right(pairs):
     assert np.percentile(ratio, 95) < 1.1
 
 
-def test_separate_solids_have_no_contact(pairs):
-    exact, found, round_ = pairs
-    apart = (exact > 3e-4) & ~round_
-    assert apart.sum() > 100
-    # A cylinder's rim is met at its corners, which may be a little early.
-    assert np.all(found.dist[apart] > -6e-4)
-    assert np.mean(found.dist[apart].min(axis=1) > -1e-5) > 0.97
-
-
-def test_normals_point_from_the_first_solid_to_the_second(pairs):
-    exact, found, _ = pairs
-    assert np.allclose(np.linalg.norm(found.normal, axis=1), 1, atol=1e-4)
-    touching = exact < -1e-3
-    assert np.all(np.isfinite(found.pos[touching]))
-
-
 def test_pairs_of_geoms_are_those_that_mujoco_collides():
     for make in (scenes.furnished, scenes.coffee):
         m = compile_scene(make()).static.mjm

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.sampling import is_round
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import (
     visibility,
 )
 from neoworld_mjx.render import render
-from neoworld_mjx.spec import Box, Cylinder, Material, SceneObject
+from neoworld_mjx.spec import Box, Material
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
 see = eqx.filter_jit(lambda scene, layouts: visibility(scene, scene.place(layouts)))
-CELLS = {"columns": 64, "rows": 48}
 
 
 @pytest.fixture(scope="module", params=["photo_0", "photo_5"])
@@ -67,14 +65,6 @@ def test_an_occluder_reduces_the_share_and_cuts_the_box():
     assert half[0] > full[0] + 0.3 * (full[2] - full[0])
     assert half[2] == pytest.approx(full[2], abs=0.5)
     np.testing.assert_allclose(half[1::2], full[1::2], atol=0.03 * (full[3] - full[1]))
-
-
-def test_round_objects_are_detected():
-    item = lambda *shapes: SceneObject(name="it", spec=scenes.single("it", *shapes))
-    can = (Cylinder(radius=0.03, height=0.1), (0, 0, 0))
-    assert is_round(item(can))
-    assert not is_round(item(can, (Box(size=(0.03, 0.01, 0.04)), (0.04, 0, 0.05))))
-    assert not is_round(item((Box(size=(0.05, 0.05, 0.05)), (0, 0, 0))))
 
 
 def test_a_pane_of_glass_is_visible_but_occludes_nothing():

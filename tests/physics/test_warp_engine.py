@@ -138,10 +138,3 @@ def test_a_full_pool_of_contacts_is_doubled(engine, blocks):
     assert engine.counts == (24, 0, 1)
     assert engine.worlds(scene, 1, poses).capacity.contacts == 16
     assert int(ours.status[0]) == RolloutStatus.OK
-
-
-def test_where_nothing_moves_candidates_stay(engine):
-    scene = compile_scene(scenes.on_table(), samples=16)
-    rollout = engine.rollout(scene, scene.place(Layout.zero(3, 1)), duration=0.1)
-    assert np.array_equal(rollout.pos[:, -1], rollout.start.pos)
-    assert not rollout.status.any()

@@ -9,18 +9,15 @@ from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
-from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.spec import Box2D, Box3D, Camera, bounds
+from neoworld_mjx.spec import Box2D, Box3D, Camera
 from neoworld_mjx.view.annotated_tree import (
     annotated_tree,
     annotation_from_tree,
     placed_box,
-    program_of,
 )
 from neoworld_mjx.view.annotation import (
     EXISTING_PROGRAM,
     GROUND,
-    SHAPES,
     WRITTEN_BY_MODEL,
     AnnotatedObject,
     Annotation,
@@ -49,36 +46,11 @@ def test_a_3d_box_projects_onto_its_2d_box(level):
     assert np.allclose(found.size, true.size, atol=1e-3)
 
 
-def test_a_known_size_places_an_object_whose_box_is_off():
-    true = Box3D(position=(0.6, 0.0, 0), size=(0.1, 0.2, 0.1), yaw=math.pi)
-    found = placed_box(_object(_seen(true), size=(0.1, 0.2, 0.1)), CAMERA, 0.0)
-    assert found.size == (0.1, 0.2, 0.1)
-    assert np.allclose(found.position, true.position, atol=2e-3)
-
-
-def test_a_template_determines_the_depth_of_its_objects():
-    box = Box2D(x0=250, y0=150, x1=390, y1=330)
-    cabinet = placed_box(_object(box, kind="drawer_cabinet"), CAMERA, 0.0)
-    plain = placed_box(_object(box), CAMERA, 0.0)
-    assert not math.isclose(cabinet.size[0] / cabinet.size[1], plain.size[0] / plain.size[1])
-
-
 def test_a_box_above_the_horizon_is_refused_by_name():
     with pytest.raises(SpecError, match=r"object thing.*horizon"):
         placed_box(
             _object(Box2D(x0=10, y0=5, x1=50, y1=20)), CAMERA.model_copy(update={"pitch": 0.0}), 0.0
         )
-
-
-@pytest.mark.parametrize("kind", sorted(SHAPES))
-def test_every_plain_shape_builds_at_its_size(kind):
-    obj = _object(Box2D(x0=0, y0=0, x1=9, y1=9), kind=kind, material="ceramic")
-    text = program_of(obj, (0.08, 0.08, 0.08), (0.5, 0.2, 0.1))
-    assert text is not None
-    built = run(text)
-    assert built.spec is not None, built.signals
-    low, high = bounds(built.spec)
-    assert np.allclose(high - low, 0.08, atol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -98,20 +70,6 @@ def test_invalid_annotations_are_refused(fields, message):
         Annotation(
             camera=CAMERA, objects=(AnnotatedObject(**{"name": "thing", "box": box} | fields),)
         )
-
-
-def test_an_annotation_without_objects_has_no_tree():
-    with pytest.raises(SpecError, match="draw a box"):
-        annotated_tree(Annotation(camera=CAMERA))
-
-
-def test_children_stand_on_their_parents():
-    tree = annotated_tree(coffee())
-    saucer, cup = tree.node("saucer"), tree.node("cup")
-    assert cup.parent == "saucer" and saucer.parent == GROUND
-    assert tree.node(GROUND).slab and tree.node(GROUND).box3d.position[2] < 0
-    inside = np.abs(np.subtract(cup.box3d.position, tree.node(GROUND).box3d.position))[:2]
-    assert (inside < np.array(tree.node(GROUND).box3d.size)[:2] / 2).all()
 
 
 def test_an_annotation_is_written_as_a_run_that_resumes(tmp_path, photo, quick_config):

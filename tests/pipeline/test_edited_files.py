@@ -56,29 +56,12 @@ def test_an_edited_size_is_kept_by_composition_and_alignment(edited):
     assert saucer["size_ratio"] != pytest.approx(1, abs=1e-4)  # Not edited, so it is estimated.
 
 
-def test_an_object_pulled_back_from_its_edited_place_is_noted(edited):
-    notes = {note["what"]: note["why"] for note in edited.notes}
-    why = notes["spoon is not where the edited tree.json states it"]
-    (moved,) = map(float, re.findall(r"moved it by ([\d.]+) cm", why))
-    assert 1 < moved < 8 and "layout.patch.json holds" in why
-    assert "saucer is not where the edited tree.json states it" not in notes
-
-
 def test_an_edited_program_that_builds_nothing_is_an_error(edited, photo, tmp_path):
     run = shutil.copytree(edited.folder, tmp_path / "run")
     program = run / "objects" / "cup" / "program.py"
     program.write_text(program.read_text() + "\ncup.hinge(1)\n")
     with pytest.raises(ProgramError, match="which was edited, builds no object: "):
         reconstruct(photo, run, start="verify", until="verify")
-
-
-def test_a_later_step_names_the_step_that_uses_an_edited_program(edited, photo, tmp_path, caplog):
-    run = shutil.copytree(edited.folder, tmp_path / "run")
-    program = run / "objects" / "saucer" / "program.py"
-    program.write_text(program.read_text() + "\n")
-    with caplog.at_level("WARNING"):
-        reconstruct(photo, run, start="compose", until="compose")
-    assert "verify/saucer: kept although its inputs have changed; --from verify" in caplog.text
 
 
 def test_the_documented_layout_patch_is_one():

@@ -51,26 +51,6 @@ def test_a_photograph_without_camera_is_by_the_first_one(folder):
     assert photo.phrase() == "b.png (the first camera's field of view, unknown pose, 1 boxes)"
 
 
-def test_a_list_of_cameras_gives_poses_in_an_unknown_unit(folder):
-    view = {"photo": str(folder / "b.png")}
-    (photo,) = read(folder, camera=str(folder / "transforms.json"), views=[view])
-    assert not photo.metric and np.allclose(photo.to_first[:3, 3], [2, 0, 0])
-    own = {"camera": str(folder / "transforms.json")}
-    (photo,) = read(folder, **own, views=[view | own])
-    assert photo.focal == pytest.approx(600) and np.allclose(photo.to_first[:3, 3], [2, 0, 0])
-    assert "known pose in an unknown unit" in photo.phrase()
-
-
-def test_poses_in_a_base_frame_are_metric(folder):
-    poses = [np.eye(4), np.eye(4)]
-    poses[1][:3, 3] = [0.3, 0, 0.1]
-    first, other = ({"pose": pose.tolist()} for pose in poses)
-    lens = {"fx": 500, "fy": 500, "cx": 319.5, "cy": 239.5}
-    view = {"photo": str(folder / "b.png"), "camera": lens | other}
-    (photo,) = read(folder, camera=lens | first, views=[view])
-    assert photo.metric and np.allclose(photo.to_first, poses[1]) and photo.focal == 500
-
-
 @pytest.mark.parametrize(
     ("view", "message"),
     [

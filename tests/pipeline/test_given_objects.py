@@ -8,7 +8,6 @@ import trimesh
 from PIL import Image
 
 import neoworld_mjx as nw
-from neoworld_mjx.commands.evidence_flags import EvidenceFlags
 from neoworld_mjx.errors import EvidenceError
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.known_objects import KnownObjects, KnownSize
@@ -17,7 +16,6 @@ from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.parse.prompts import parse_request
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import read_annotation, write_annotated
-from neoworld_mjx.pipeline.given_evidence import read_asset
 from neoworld_mjx.pipeline.rescue import rescue_file
 from neoworld_mjx.spec import Cylinder, ObjectSpec, bounds, read_scene, world_poses
 from tests.support.annotations import coffee
@@ -51,29 +49,12 @@ def assets(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("file", ["mug.urdf", "mug.stl", "mug.glb"])
-def test_assets_are_read_in_meters(assets, file):
-    low, high = bounds(read_asset(assets / file))
-    expected = (0.08, 0.09, 0.08) if file == "mug.glb" else (0.08, 0.08, 0.09)
-    assert np.allclose(high - low, expected, atol=5e-4)
-
-
 def test_one_file_names_known_objects(assets):
     Image.fromarray(picture()).save(assets / "photo.png")
     read = nw.read_evidence(assets / "evidence.yaml", assets / "photo.png").objects
     assert read.names == ("mug", "big", "jar", "lamp") and read.keep == ("lamp",)
     assert read.sizes["jar"] == KnownSize(diameter=0.05)
     assert read.lines()["sizes"] == "big: height 0.2 m; jar: diameter 0.05 m"
-
-
-def test_flags_add_assets_to_those_of_the_file(assets):
-    flags = EvidenceFlags(evidence=assets / "evidence.yaml", object=("mug=a.glb", "pot=b.xml"))
-    assert flags.stated().objects == {
-        "mug": "a.glb", "big": str(assets / "mm.stl"), "pot": "b.xml"
-    }  # fmt: skip
-    assert flags.stated().keep == ("lamp",)
-    with pytest.raises(EvidenceError, match="got 'mug', expected NAME=FILE"):
-        EvidenceFlags(object=("mug",)).stated()
 
 
 @pytest.mark.parametrize(

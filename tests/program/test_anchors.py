@@ -73,16 +73,6 @@ def test_unknown_words_are_refused_with_the_valid_choices(line: str, words: str)
     assert signal.code == "value" and words in signal.message and signal.line == 7
 
 
-def test_mirror_images():
-    from neoworld_mjx.program.sdk import mirror
-
-    assert mirror((1, 2, 3)) == [(1, 2, 3), (1, -2, 3)]
-    assert mirror((1, 0, 3)) == [(1, 0, 3)]
-    assert mirror([(1, 2, 3)], "x", at=0.5) == [(1, 2, 3), (0, 2, 3)]
-    legs = mirror(mirror((0.2, 0.3, 0)), "x")
-    assert sorted(legs) == sorted((sx * 0.2, sy * 0.3, 0) for sx in (-1, 1) for sy in (-1, 1))
-
-
 def test_moved_places_a_shape():
     text = HEAD + (
         "s = box((0.1, 0.2, 0.3)).moved((0, 0, 1), (0, 0, 1.5707963267948966), by='bottom')\n"

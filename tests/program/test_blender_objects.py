@@ -14,8 +14,7 @@ from neoworld_mjx.program.blender.blender_objects import build_object
 from neoworld_mjx.program.blender.blender_scene import BlenderScene, shape_of, split_solids
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.session import Session
-from neoworld_mjx.spec import Box, Mesh, inertial
-from neoworld_mjx.spec.pose import from_yaw, rotate
+from neoworld_mjx.spec import Box, inertial
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
 FACES = np.array(
@@ -130,27 +129,6 @@ def test_names_become_identifiers_and_assumed_materials_give_a_warning():
 
 def two(second):
     return np.vstack([CUBE, second]), np.vstack([FACES, FACES + 8]), np.zeros(24, int)
-
-
-def test_loose_solids_are_shapes_of_their_own():
-    parts = split_solids(*two(CUBE + 3))
-    shapes = [shape_of(each, False) for each in parts]
-    assert [type(made[0]) for made in shapes] == [Box, Box]
-    np.testing.assert_allclose(shapes[1][1].pos, (3, 3, 3))
-
-
-def test_a_rotated_box_is_recognized_and_a_skewed_one_is_not():
-    turn = from_yaw(0.4)
-    (solid,) = split_solids(rotate(turn, CUBE * (1, 2, 3)), FACES, np.zeros(12, int))
-    made, at = shape_of(solid, False)
-    assert isinstance(made, Box)
-    np.testing.assert_allclose(sorted(made.size), (1, 2, 3), atol=1e-6)
-    corners = rotate(at.quat, CUBE * made.size)
-    assert {tuple(p) for p in np.round(corners, 5)} == {
-        tuple(p) for p in np.round(rotate(turn, CUBE * (1, 2, 3)), 5)
-    }
-    skewed = CUBE + np.outer(CUBE[:, 2], (0.3, 0, 0))
-    assert isinstance(shape_of(split_solids(skewed, FACES, np.zeros(12, int))[0], False)[0], Mesh)
 
 
 @pytest.mark.skipif(not coacd_installed(), reason="needs CoACD")

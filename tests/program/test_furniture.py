@@ -72,16 +72,3 @@ def test_an_allowance_is_applied_and_reported():
     assert granted.ok
     assert [(s.code, s.severity) for s in granted.signals] == [("allowed_overlap", "warning")]
     assert "rebate" in granted.signals[0].message
-
-
-@pytest.mark.parametrize(
-    ("call", "code"),
-    [
-        ("o.allow_overlap(body, d, 0.002, 'the rebate of the lid')", "overlap_at_rest"),
-        ("o.allow_overlap(body, d, 0.02, 'the rebate of the lid')", "value"),
-        ("o.allow_overlap(body, d, 0.004, 'so')", "value"),
-    ],
-)
-def test_an_allowance_has_bounds(call: str, code: str):
-    built = build(OVERLAP + call)
-    assert not built.ok and code in {signal.code for signal in built.signals}

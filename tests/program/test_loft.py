@@ -58,22 +58,6 @@ def test_a_loft_is_closed_and_its_colliders_have_its_volume():
     assert sum(hulls) == pytest.approx(mesh.volume, rel=0.02)
 
 
-def test_the_exponent_rounds_the_corners():
-    area = lambda square: (
-        built(
-            HEAD
-            + 'o = Object("o")\np = o.part("p", material="foam")\n'
-            + f"p.add(loft([(0, 0.2, 0.1), (1, 0.2, 0.1)], square={square}, sectors=64))"
-        )
-        .parts[0]
-        .geoms[0]
-        .shape.surface()
-    )
-    ellipse, rectangle = (trimesh.Trimesh(*area(square)).volume for square in (2, 20))
-    assert ellipse == pytest.approx(np.pi * 0.1 * 0.05, rel=0.01)
-    assert 0.97 * 0.02 < rectangle < 0.02
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -1,27 +1,21 @@
 """Programs of supports: they fill their outline, and only there they carry."""
 
-import mujoco
 import numpy as np
 import pytest
 
 from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.program.sandbox import run
 from neoworld_mjx.program.supports import MATERIALS, support_program
 from neoworld_mjx.spec import (
-    Box,
     Box2D,
     Box3D,
     ObjectSpec,
-    SceneObject,
-    SceneSpec,
     SupportOutline,
     SupportSurface,
     SurfacePattern,
     TreeNode,
     bounds,
 )
-from tests.support.scenes import single
 
 L_SHAPE = SupportOutline(
     shape="polygon",
@@ -49,22 +43,6 @@ def support(outline: SupportOutline, size: tuple[float, float, float]) -> Object
     return built.spec
 
 
-def falls(top: ObjectSpec, places: list[tuple[float, float]]) -> list[bool]:
-    """Tell which cubes of 6 cm, set down at places on a fixed top, leave it within a second."""
-    height = float(bounds(top)[1][2])
-    cube = single("cube", (Box(size=(0.06,) * 3), (0, 0, 0)))
-    objects = [SceneObject(name="top", spec=top, environment=True)]
-    objects += [
-        SceneObject(name=f"cube{k}", spec=cube, xy=place, z=height + 1e-4)
-        for k, place in enumerate(places)
-    ]
-    model = to_mjspec(SceneSpec(objects=tuple(objects))).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    mujoco.mj_step(model, data, nstep=500)
-    return [bool(data.body(f"cube{k}").xpos[2] < height - 0.01) for k in range(len(places))]
-
-
 @pytest.mark.parametrize("size", [SLAB, TALL])
 @pytest.mark.parametrize(
     ("outline", "share"),
@@ -79,22 +57,6 @@ def test_a_support_fills_its_box_and_its_outline(outline, share, size):
     thick = SLAB[2] if size is SLAB else 0.04
     assert board == pytest.approx(share * size[0] * size[1] * thick, rel=0.01)
     assert (len(spec.parts[0].geoms) > 1) == (size is TALL)
-
-
-@pytest.mark.parametrize(
-    ("outline", "carried", "empty"),
-    [
-        (ROUND, [(0.0, 0.0), (0.3, 0.4), (-0.44, 0.0)], [(0.46, 0.66), (-0.43, -0.6)]),
-        (L_SHAPE, [(0.4, 0.6), (-0.4, -0.6), (0.1, -0.1)], [(-0.4, 0.6), (-0.1, 0.1)]),
-    ],
-    ids=["round", "polygon"],
-)
-def test_corners_outside_of_an_outline_support_nothing(outline, carried, empty):
-    assert falls(support(outline, TALL), carried + empty) == [False] * len(carried) + [True] * len(
-        empty
-    )
-    square = support(SupportOutline(), TALL)
-    assert falls(square, carried + empty) == [False] * (len(carried) + len(empty))
 
 
 def surfaced(shown=None, **surface) -> ObjectSpec:

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.errors import MissingResponseError, ModelError
+from neoworld_mjx.errors import MissingResponseError
 from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
 from neoworld_mjx.program.ask import ProgramResponse, SynthesisResult
@@ -104,11 +104,6 @@ def shape_verdict(geometry: float, accept: bool = False) -> GeometryCritique:
 
 
 JOINTS_GOOD = ArticulationCritique(articulation=8, verdict="accept")
-JOINTS_BAD = ArticulationCritique(
-    articulation=3,
-    faults=[ProgramFault(part="door", what="opens inwards", change="turn the axis around")],
-    verdict="revise",
-)
 
 
 def verdict(geometry: float, accept: bool = False) -> list[Any]:
@@ -246,18 +241,6 @@ def test_the_best_round_wins_over_the_last():
     assert [attempt.stage for attempt in outcome.rounds] == ["program", "revise"]
 
 
-def test_a_program_that_cannot_be_built_gives_the_reason():
-    outcome = synthesised(ScriptedModel(written("1 / 0"), written("absent")))
-    assert outcome.spec is None and "`absent` used when not defined" in outcome.reason
-
-
-def test_a_failing_critic_is_a_fallback():
-    down = ModelError("server is down")
-    outcome = synthesised(ScriptedModel(written(GOOD), down, JOINTS_GOOD))
-    assert outcome.spec is not None and list(outcome.rounds[0].critiques) == ["articulation"]
-    assert outcome.fallbacks == (("cabinet: no judge (geometry) round", "server is down"),)
-
-
 def test_a_missing_response_on_a_tape_is_an_error():
     with pytest.raises(MissingResponseError):
         synthesised(ScriptedModel(written(GOOD), MissingResponseError("no answer"), JOINTS_GOOD))
@@ -282,7 +265,6 @@ def test_slabs_are_programmed_without_a_model(
 
 GEOMETRY = BODY + DOOR
 ARTICULATION = HINGE.format(sign=1).replace("o.revolute", "hinge = o.revolute")
-BACKWARDS = HINGE.format(sign=-1).replace("o.revolute", "hinge = o.revolute")
 EXPORT = "door.set_mass(4.0)\nhinge.set_dynamics(damping=0.4)\n"
 THREE = ProgramOptions(stages="three", debug_rounds=1, critic_rounds=1)
 EXPORT_GOOD = ExportCritique(masses=9, dynamics=8, verdict="accept")
@@ -312,44 +294,6 @@ def test_three_stages_are_requested_in_turn_and_form_one_program():
     # The texts joined are one program of the same meaning.
     one = build(GEOMETRY + ARTICULATION + EXPORT).spec
     assert one is not None and build(outcome.text).spec == spec == one
-
-
-def test_every_stage_has_a_debug_loop_with_lines_of_its_own_text():
-    jointed = written(GOOD)
-    script = ScriptedModel(
-        *(jointed, *IN_THREE[:2]),
-        *(written(BACKWARDS), *IN_THREE[2:4]),
-        *(written("kg = 2\nporte.set_mass(kg)\n"), *IN_THREE[4:]),
-    )
-    outcome = synthesised(script, THREE)
-    repairs = [each for each in script.requests if each.name.startswith("debug")]
-    names = ["debug-geometry:cabinet", "debug-articulation:cabinet", "debug-export:cabinet"]
-    assert [each.name for each in repairs] == names
-    assert "joint_in_geometry" in repairs[0].prompt
-    assert "overlap_in_motion: line 1:" in repairs[1].prompt
-    assert "line 2:" in repairs[2].prompt and "porte" in repairs[2].prompt
-    assert outcome.spec is not None and outcome.fallbacks == ()
-
-
-def test_the_critic_of_a_stage_revises_that_stage_alone():
-    script = ScriptedModel(
-        *IN_THREE[:2],
-        *(written(BACKWARDS.replace("0, 1.6", "-1.6, 0")), JOINTS_BAD),
-        *IN_THREE[2:],
-    )
-    outcome = synthesised(script, THREE)
-    assert [each.name for each in script.requests][4] == "revise-articulation:cabinet"
-    assert outcome.texts["articulation"].strip() == ARTICULATION.strip()
-    assert [attempt.file for attempt in outcome.rounds].count("geometry") == 1
-
-
-def test_an_object_of_one_part_needs_no_articulation_request():
-    script = ScriptedModel(
-        *(written(DOORLESS), shape_verdict(9, accept=True)), *(written("# fine"), EXPORT_GOOD)
-    )
-    outcome = synthesised(script, THREE, articulation=())
-    assert outcome.spec is not None and outcome.texts["articulation"] == stages.NOTHING_MOVES
-    assert [request.name for request in script.requests][2] == "export:cabinet"
 
 
 def test_a_failed_export_keeps_the_accepted_object():

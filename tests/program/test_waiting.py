@@ -5,9 +5,8 @@ import pytest
 
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.program import build
-from neoworld_mjx.program.views import open_state
 from neoworld_mjx.spec import ObjectSpec
-from neoworld_mjx.spec.opening import prerequisite_state, with_prerequisites
+from neoworld_mjx.spec.opening import prerequisite_state
 
 OVEN = """
 from neoworld_mjx.program.sdk import Object, box, hollow_box
@@ -55,38 +54,6 @@ def test_a_tray_slides_out_once_its_flap_is_open(given: str):
     assert joint.after == ("flap_hinge",)
     assert prerequisite_state(spec, joint) == {"flap_hinge": 1.5}
     assert ObjectSpec.model_validate_json(spec.to_json()) == spec
-
-
-@pytest.mark.parametrize(
-    ("changes", "code", "words"),
-    [
-        # The flap is tried with the tray in.
-        ({"back": "-0.005"}, "overlap_at_rest", "'flap' and 'tray'"),
-        # The tray is tried over its whole range, against all others and the open flap too.
-        ({"wide": "0.53"}, "overlap_at_rest", "'body' and 'tray'"),
-        ({"opens": "0.4"}, "overlap_in_motion", "into 'flap', with flap_hinge open"),
-        ({"low": "-0.08"}, "overlap_in_motion", "'slide' at -0.08 m drives 'tray' into 'body'"),
-    ],
-)
-def test_prerequisites_do_not_reduce_the_joint_sweep(
-    changes: dict[str, str], code: str, words: str
-):
-    assert words in told(oven(**changes))[code]
-
-
-def test_combinations_hold_only_reachable_states():
-    text = oven() + (
-        "lid = o.part('lid', material='oak')\n"
-        "lid.add(box((0.2, 0.3, 0.02)), at=shell.anchor('top'), by='bottom')\n"
-        "o.revolute('lift', body, lid, at='back.hinge', range=(0, 1))\n"
-    )
-    spec = spec_of(text)
-    state = {"flap_hinge": 0.7, "slide": 0.1, "lift": 0.3}
-    assert with_prerequisites(spec, state, opening=True) == {**state, "flap_hinge": 1.5}
-    assert with_prerequisites(spec, state, opening=False) == {**state, "slide": 0.0}
-    closed = {**state, "slide": 0.0}
-    assert with_prerequisites(spec, closed, opening=True) == closed
-    assert open_state(spec)["flap_hinge"] == 1.5
 
 
 @pytest.mark.parametrize("hinge", ["bottom", "top", "left"])

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.program.sandbox import run
-from neoworld_mjx.render import View, render_object
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.spec import SurfacePattern
 from neoworld_mjx.spec.room import PATTERN_KINDS
@@ -57,25 +54,3 @@ def test_a_pattern_finer_than_a_pixel_is_its_mean():
     near, far = (drawn("weave", points, pixel=pixel, step=0.01) for pixel in (1e-5, 0.02))
     assert far.std(axis=0).max() < 1e-9 < near.std(axis=0).max()
     assert far[0] == pytest.approx(near.mean(axis=0), rel=0.05)
-
-
-def test_programs_choose_patterns():
-    def picture(arguments):
-        program = f"""from neoworld_mjx.program.sdk import Object, box
-
-floor = Object("floor")
-look = floor.material("warm_wood", like="wood", rgb=(0.7, 0.5, 0.3){arguments})
-floor.part("body", material=look).add(box((1, 1, 0.04)))
-"""
-        built = run(program, ProgramOptions())
-        if built.spec is None:
-            return built.signals[0].phrase()
-        view = View.look_at((0.9, 0, 0.9), (0, 0, 0), width=60, height=40)
-        return render_object(built.spec, camera=view, supersample=1).color.astype(int)
-
-    plain = picture(', pattern="plain"')
-    tiles = picture(', pattern="tiles", rgb2=(0, 0, 0), step=0.25')
-    assert np.abs(plain - tiles).max() > 60
-    assert np.abs(plain - picture("")).max() > 3  # By its name.
-    assert "pattern: got 'stripes', valid are" in picture(', pattern="stripes"')
-    assert "belong to a pattern" in picture(", step=0.1")

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.render import View, render, render_object, render_scene, to_png
+from neoworld_mjx.render import View, render_object, render_scene, to_png
 from neoworld_mjx.render.ray_caster import RayCaster
 from neoworld_mjx.spec import (
     Box,
@@ -101,14 +101,6 @@ def test_shadows_point_away_from_the_light():
     assert near.mean() > ball
 
 
-def test_supersampling_changes_only_color_at_edges():
-    one, two = render_scene(scene(), supersample=1), render_scene(scene(), supersample=3)
-    assert np.array_equal(one.depth, two.depth)
-    assert np.array_equal(one.segmentation, two.segmentation)
-    changed = (one.color != two.color).any(axis=2)
-    assert 0.01 < changed.mean() < 0.3
-
-
 def test_rendering_is_deterministic():
     one, two = render_scene(scene()), render_scene(scene())
     assert np.array_equal(one.color, two.color)
@@ -116,24 +108,6 @@ def test_rendering_is_deterministic():
     assert np.array_equal(np.array(Image.open(io.BytesIO(to_png(one)))), one.color)
     with pytest.raises(TypeError, match="uint8"):
         to_png(one.depth)
-
-
-def test_a_model_gives_the_geometry_of_its_scene():
-    model = to_mjspec(scene(), visual=True).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    one, two = render((model, data), CAMERA, width=100), render(scene(), CAMERA, width=100)
-    assert one.color.shape == (75, 100, 3)
-    assert np.array_equal(one.segmentation, two.segmentation)
-    assert np.array_equal(one.depth, two.depth)
-
-
-def test_models_without_visual_geoms_are_rendered():
-    model = to_mjspec(scene()).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    picture = render((model, data), CAMERA, width=100)
-    assert set(np.unique(picture.segmentation)) >= {0, 1, 2}
 
 
 def test_joint_states_and_geom_roles_show_in_images():

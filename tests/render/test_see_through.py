@@ -58,31 +58,6 @@ def test_objects_in_or_behind_glass_are_visible(draw, shape):
         assert np.abs(side - picture(0.01)[SIZE // 2, SIZE // 2 + 12]).max() > 3
 
 
-def test_masks_and_depth_are_those_of_the_glass():
-    clear, opaque = (render(scene(alpha), VIEW, floor=False) for alpha in (0.3, 1.0))
-    assert np.array_equal(clear.segmentation, opaque.segmentation)
-    assert np.allclose(clear.depth, opaque.depth, equal_nan=True)
-    assert np.allclose(clear.normal, opaque.normal, atol=1e-6)
-
-
-def test_layers_are_sorted_from_back_to_front():
-    """A dark pane behind a white one is seen through it, not the other way round."""
-
-    def pane(name, x, colour):
-        look = Material(name="glass", density=2500, rgba=(*colour, 0.5))
-        body = part("body", geom("body", Box(size=(0.004, 0.2, 0.2)), (x, 0, 0.05), "glass"))
-        spec = ObjectSpec(name=name, materials=(look,), parts=(body,))
-        return SceneObject(name=name, spec=spec)
-
-    def centre(near, far):
-        objects = (pane("near", 0.1, near), pane("far", 0.0, far))
-        shown = render_plain(SceneSpec(objects=objects), VIEW)
-        return float(shown[SIZE // 2, SIZE // 2].mean())
-
-    black, white = (0.0,) * 3, (1.0,) * 3
-    assert centre(white, black) > centre(black, white) + 20
-
-
 def test_glass_attenuates_light():
     shares = {}
     for alpha in (0.25, 1.0):

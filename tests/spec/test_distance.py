@@ -65,11 +65,3 @@ def test_volumes_equal_counted_random_points(name: str):
     assert inside == pytest.approx(share, abs=4 * np.sqrt(share / 500))
     solid = sum(mass_properties(piece)[0] for piece in shape.pieces())
     assert solid == pytest.approx(shape.volume(), rel=0.13)
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_distance_and_volume_scale(name: str):
-    shape, points = SHAPES[name], around(SHAPES[name], 50)
-    big = shape.scaled(2.5)
-    assert np.allclose(big.signed_distance(2.5 * points), 2.5 * shape.signed_distance(points))
-    assert big.volume() == pytest.approx(2.5**3 * shape.volume())

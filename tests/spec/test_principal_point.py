@@ -34,25 +34,6 @@ def test_principal_point_shifts_the_image():
     assert np.allclose(CAMERA.project(point)[0] - plain.project(point)[0], [31.0, -17.0])
 
 
-def test_resized_camera_projects_to_scaled_pixels():
-    small = CAMERA.resized(160, 120)
-    point = [1.0, 0.1, 0.2]
-    assert np.allclose(2 * small.project(point)[0], CAMERA.project(point)[0])
-
-
-def test_heading_and_position_move_the_camera():
-    moved = CAMERA.model_copy(update={"xy": (0.4, -0.3), "yaw": 0.5})
-    c, s = np.cos(0.5), np.sin(0.5)
-    point = np.array([1.0, 0.1, 0.2])
-    world = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ point + [0.4, -0.3, 0.0]
-    assert np.allclose(moved.project(world)[0], CAMERA.project(point)[0])
-
-
-def test_default_is_not_written():
-    plain = Camera(width=320, height_px=240, fovy=0.7, height=0.5, pitch=0.4)
-    assert {"principal", "xy", "yaw"}.isdisjoint(plain.model_dump())
-
-
 def test_rendered_object_is_where_it_projects():
     scene = SceneSpec(objects=(can((0.9, 0.1)),), camera=CAMERA)
     view = render(scene, CAMERA, supersample=1, floor=False, shadows=False)

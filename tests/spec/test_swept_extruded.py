@@ -68,32 +68,6 @@ def test_volumes_against_formulas():
     assert volume == pytest.approx((6 - 0.5 - 0.155) * 0.02)
 
 
-def test_an_oval_lathe_is_a_stretched_round_one():
-    low, high = SPOON.surface()[0].min(axis=0), SPOON.surface()[0].max(axis=0)
-    assert (high - low)[1] == pytest.approx(0.7 * (high - low)[0], rel=1e-2)
-    flat, round_ = (
-        sum(mass_properties(piece)[0] for piece in shape.pieces())
-        for shape in (SPOON, SPOON.model_copy(update={"oval": 1.0}))
-    )
-    assert flat == pytest.approx(0.7 * round_)
-
-
-def test_a_shell_stands_on_one_piece():
-    lows = [min(z for _, _, z in piece.vertices) for piece in CUP.pieces()]
-    assert sorted(lows)[:2] == pytest.approx([0.0, 0.003]) and lows.count(0.0) == 1
-    section = np.vstack([np.array(CUP.profile), CUP.inner()[::-1]])
-    after = np.roll(section, -1, axis=0)
-    cross = section[:, 0] * after[:, 1] - section[:, 1] * after[:, 0]
-    moment = abs(np.sum((section[:, 0] + after[:, 0]) * cross) / 6)
-    volume = sum(mass_properties(piece)[0] for piece in CUP.pieces())
-    assert volume == pytest.approx(16 * math.sin(2 * math.pi / 16) * moment)
-
-
-def test_a_strap_is_wide_across_its_plane():
-    corners = np.vstack([np.array(piece.vertices) for piece in STRAP.pieces()])
-    assert np.ptp(corners[:, 2]) == pytest.approx(0.012, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import sys
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -91,10 +90,3 @@ def test_a_figure_shows_points_and_axes():
     text = draw(many, [DRIFT])
     assert f"best {MAX_LINES} of {len(many)}" in text
     assert "point 10<" in text and "point 2<" not in text
-
-
-def test_without_matplotlib_the_log_says_why_there_is_no_figure(monkeypatch, caplog):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with caplog.at_level("INFO", logger="neoworld_mjx"):
-        assert draw(ROWS, [SIGMA]) is None
-    assert "--extra plot" in caplog.text

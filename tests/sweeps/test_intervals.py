@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats as known
 
-from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference, ratio_interval
+from neoworld_mjx.sweeps.intervals import mean, rate, rate_difference
 
 
 def names(n):
@@ -18,14 +18,6 @@ def test_rates_over_scenes_have_clopper_and_pearsons_interval(hits, n):
     assert result == pytest.approx((hits / n, truth.low, truth.high, n, n))
 
 
-def test_three_of_three_is_no_certainty():
-    low = 100 * rate([True] * 3, names(3)).low
-    assert low == pytest.approx(29.24, abs=0.01)
-    # Runs that repeat a scene add nothing where all agree; a single scene has its runs alone.
-    assert rate([True] * 12, names(3) * 4).low == pytest.approx(low / 100)
-    assert rate([True] * 3, ["one"] * 3).low == pytest.approx(low / 100)
-
-
 def test_means_over_scenes_have_students_t_interval():
     x = np.random.default_rng(0).normal(size=9)
     low, high = known.t.interval(0.95, 8, loc=x.mean(), scale=known.sem(x))
@@ -33,14 +25,6 @@ def test_means_over_scenes_have_students_t_interval():
     assert mean(list(x), ["one"] * 9) == pytest.approx((x.mean(), low, high, 9, 1))
     assert math.isnan(mean([1.0], ["one"]).low)
     assert math.isnan(mean([], []).mean)
-
-
-def test_repeats_of_a_scene_do_not_narrow_the_interval_of_a_mean():
-    of_scenes = np.random.default_rng(0).normal(size=6)
-    once = mean(list(of_scenes), names(6))
-    often = mean(list(np.repeat(of_scenes, 8)), list(np.repeat(names(6), 8)))
-    assert (often.low, often.high) == pytest.approx((once.low, once.high))
-    assert (often.n, often.scenes) == (48, 6)
 
 
 def coverage(estimate, truth, draw, rounds=400):
@@ -77,25 +61,3 @@ def test_paired_rates_cover_the_truth():
     # Ten runs of one scene each are not a hundred scenes.
     wide = rate_difference([True] * 100, [True] * 100, list(np.repeat(names(10), 10)))
     assert wide.high == pytest.approx(agreed.high)
-
-
-def test_shares_of_objects_are_weighted():
-    parts = [("a", 1.0, 2.0), ("b", 4.0, 4.0), ("b", 0.0, 2.0), ("c", 0.0, 0.0)]
-    share, low, high = ratio_interval(parts, share=True)
-    assert share == pytest.approx(5 / 8) and 0 <= low < share < high <= 1
-    assert ratio_interval([("a", 1.0, 2.0)]) == (0.5, None, None)
-    assert ratio_interval([("a", 0.0, 0.0)]) == (None, None, None)
-    assert ratio_interval([("a", 2.0, 1.0), ("b", 2.0, 1.0)]) == (2.0, 2.0, 2.0)
-
-
-def test_the_interval_of_a_paired_difference_is_that_of_agresti_and_min():
-    """Half an observation in each of the four cells, so n + 2 pairs (Agresti and Min 2005)."""
-    b, c, n = 3, 1, 10
-    hits = [True] * b + [False] * c + [True] * 4 + [False] * 2
-    others = [False] * b + [True] * c + [True] * 4 + [False] * 2
-    center = (b - c) / (n + 2)
-    deviation = np.sqrt((b + c + 1) - (b - c) ** 2 / (n + 2)) / (n + 2)
-    found = rate_difference(hits, others, names(n))
-    assert found.mean == pytest.approx((b - c) / n)
-    assert found.low == pytest.approx(center - 1.959964 * deviation, abs=1e-6)
-    assert found.high == pytest.approx(center + 1.959964 * deviation, abs=1e-6)

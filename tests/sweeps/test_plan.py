@@ -143,37 +143,3 @@ def test_values_are_drawn_and_more_samples_keep_the_first_ones():
     assert [p.values[XY] for p in fewer[:10]] == [xy for xy, _ in drawn[:10]]
     other = points(Plan(axes=axes, samples=10, draw_seed=1))
     assert other[0].values[XY] != fewer[0].values[XY]
-
-
-@pytest.mark.parametrize(
-    ("plan", "said"),
-    [
-        ({"axes": {XY: 0.05}}, "axes: refine.cem.sigma_xy: give a list of values, or a range"),
-        ({"axes": {XY: {"low": 0.1, "high": 0.01, "n": 3}}}, "low must be below high, got 0.1"),
-        ({"axes": {XY: {"low": 0, "high": 1, "log": True, "n": 3}}}, "must be above 0, got 0"),
-        ({"axes": {XY: {"low": 0, "high": 1, "nn": 3}}}, "unknown key nn"),
-        ({"axes": {XY: {"low": -1, "high": 1, "n": 3}}}, "greater than or equal to 0, got -1"),
-        ({"axes": {XY: {"low": -2, "high": -1}}, "samples": 3}, "greater than or equal to 0"),
-        ({"axes": {XY: [1]}, "fold": True}, "unknown key fold"),
-        ({"axes": {XY: {"low": 0, "high": 1}}}, "is drawn at random: set the plan's samples"),
-        ({"axes": {XY: [1]}, "samples": 3}, "samples: no axis is a range without n"),
-        ({"axes": {XY: [1]}, "zip": [[XY, PEN]]}, "zip: "),
-        ({"axes": {XY: [1], PEN: [1, 2]}, "zip": [[XY, PEN]]}, "w_pen has 2"),
-        ({"axes": {XY: [1], PEN: [1]}, "zip": [[XY, PEN], [PEN]]}, "w_pen appears twice"),
-        ({"axes": {XY: {"low": 0, "high": 1, "n": 200}, PEN: {"low": 0, "high": 1, "n": 200}}},
-         "40000 points, at most 10000"),
-        ({"axes": {XY: {"low": 0, "high": 1, "n": 10**9}}}, "less than or equal to 10000"),
-        ({"axes": {XY: [1]}, "seeds": 10**9}, "must be a number of seeds from 1 to 10000"),
-        ({"axes": {XY: [1]}, "seeds": "many"}, "must be a number of seeds or a list of seeds"),
-    ],
-)  # fmt: skip
-def test_what_is_no_plan_is_one_message(plan, said):
-    with pytest.raises(ConfigError) as error:
-        points(read_plan(plan, Plan))
-    assert said in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-def test_a_number_of_seeds_counts_from_zero():
-    assert read_plan({"seeds": 5}, Plan).seeds == (0, 1, 2, 3, 4)
-    assert read_plan({"seeds": [3]}, Ablation).seeds == (3,)

@@ -7,14 +7,13 @@ import pytest
 import yaml
 
 import neoworld_mjx as nw
-from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.places import Place
 from neoworld_mjx.sweeps import Case, Plan, ablate, merge, run, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 from neoworld_mjx.sweeps.plan import points, read_plan
 from neoworld_mjx.sweeps.runs import COLUMNS
-from tests.support.notebooks import run_small
 from tests.support.scenes import noisy_layouts, stored_scene
 
 SCENE = Case("two", stored_scene("crowded_2"))
@@ -119,26 +118,6 @@ def test_the_table_sums_points_up(swept):
     assert (about["finished"], about["missing"]) == (True, 0)
 
 
-def test_the_notebook_runs_in_small_form():
-    base = """{
-        "refine": {
-            "cem": {"population": 24, "iterations": 4, "hold_resting": False, "stop_by": "elites"},
-            "settle": {"enabled": False},
-            "rollout": {"engine": "native"},
-        }
-    }"""
-    changes = {
-        '"seeds": [0, 1, 2]': '"seeds": [0, 1]',
-        f'"base": {base}': '"base": BASE',
-        "wide: [0.01, 0.03, 0.08]": "wide: [0.01, 0.08]",
-        "cases=[scene]": "cases=[SCENE]",
-        "== 18": "== 8",
-        "passed.max() == 1.0": "passed.shape == (2, 2)",
-    }
-    ran = run_small("sweep_with_plots", changes, BASE=BASE, SCENE=SCENE)
-    assert {row["seed"] for row in ran["found"].rows} == {0, 1}
-
-
 def test_an_existing_sweep_is_not_replaced_by_accident(swept, tmp_path):
     out, _ = swept
     before = (out / "results.parquet").read_bytes()
@@ -162,13 +141,6 @@ def test_an_existing_sweep_is_not_replaced_by_accident(swept, tmp_path):
             sweep(plan(), tmp_path, cases=[SCENE], **more)
 
 
-def test_a_damaged_results_file_is_reported(tmp_path):
-    (tmp_path / "sweep.json").write_text('{"format": "neoworld-sweep/1", "kind": "sweep"}')
-    (tmp_path / "results.parquet").write_bytes(b"half")
-    with pytest.raises(NeoWorldError, match="is not a Parquet file"):
-        sweep(plan(), tmp_path, cases=[SCENE], resume=True)
-
-
 def test_an_interrupted_sweep_resumes(swept, computed, tmp_path):
     _, whole = swept
     keys, stop_at = computed
@@ -180,18 +152,6 @@ def test_an_interrupted_sweep_resumes(swept, computed, tmp_path):
     result = sweep(plan(), tmp_path, cases=[SCENE], resume=True)
     assert len(keys) == 4 + 5
     assert [row["reward"] for row in result.rows] == [row["reward"] for row in whole.rows]
-
-
-def test_an_axis_may_be_added_at_its_default(computed, tmp_path):
-    keys, _ = computed
-    sweep(plan(axes={DRIFT: [1, 2]}), tmp_path, cases=[SCENE])
-    result = sweep(
-        plan(axes={DRIFT: [1, 2], SIGMA: [15, 20]}), tmp_path, cases=[SCENE], resume=True
-    )
-    assert len(keys) == 4 + 4
-    rows = read_rows(tmp_path)
-    assert [row[SIGMA] for row in rows] == [15.0, 15.0, 20.0, 20.0] * 2
-    assert len({row["point"] for row in rows}) == len(result.points) == 4
 
 
 def test_shards_are_merged_to_the_whole_sweep(swept, tmp_path):

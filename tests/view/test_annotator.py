@@ -8,7 +8,6 @@ import pytest
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.spec import Box2D
 from neoworld_mjx.view.annotate_page import Annotator, empty_annotation, pixel_of
 from neoworld_mjx.view.annotated_tree import annotated_tree, annotation_from_tree
 from neoworld_mjx.view.annotation import EXISTING_PROGRAM, GROUND
@@ -21,14 +20,6 @@ def test_children_follow_a_renamed_object_and_those_of_a_deleted_one_move_to_the
     assert cup is not None and cup.parent == "plate" and renamed.find("saucer") is None
     left = coffee().without("saucer")
     assert [(obj.name, obj.parent) for obj in left.objects] == [("cup", GROUND)]
-
-
-def test_new_boxes_get_unique_names():
-    box = Box2D(x0=1, y0=1, x1=9, y1=9)
-    one, first = coffee().with_box(box)
-    two, second = one.with_box(box)
-    assert (first, second) == ("object_1", "object_2")
-    assert two.without(first).with_box(box)[1] == first
 
 
 @pytest.mark.parametrize(
@@ -118,33 +109,3 @@ def typed(control, value):
     control._impl.value = value
     for call in control._impl.update_cb:
         call(GuiEvent(None, 1, control))
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
-@pytest.mark.parametrize("field", ["height", "fovy", "pitch", "roll"])
-def test_a_number_that_is_none_changes_no_camera_and_is_said(opened_page, field, value):
-    page = opened_page(coffee())
-    before = page.annotation
-    typed(page._lens[field], value)
-    assert page.annotation == before
-    assert "enter a number" in page._message.content
-
-
-def test_a_reserved_name_is_refused_on_the_page(opened_page):
-    page = opened_page(coffee())
-    page._choose("cup")
-    typed(page._fields["name"], "world")
-    assert page.annotation == coffee()
-    assert "MuJoCo reserves" in page._message.content
-
-
-def test_a_job_that_fails_in_an_unexpected_way_is_said_and_another_may_start(opened_page):
-    page = opened_page(coffee())
-
-    def fails(*_):
-        raise ZeroDivisionError("no camera")
-
-    page._write_annotated = fails
-    for _ in range(2):
-        page._write(simulate=True)
-        assert "internal error: ZeroDivisionError: no camera" in page._log.content

@@ -1,7 +1,6 @@
 """The report of a run: verdict, checks, objects, agreement with the photograph, damaged files."""
 
 import json
-import math
 import re
 from html.parser import HTMLParser
 
@@ -15,12 +14,7 @@ from neoworld_mjx.errors import RunError
 from neoworld_mjx.measure import scene_checks, scene_measure
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
-from neoworld_mjx.search import scene_refinement
-from neoworld_mjx.view import server
-from neoworld_mjx.view.report import search
-from neoworld_mjx.view.report.objects import BOXES, REFINEMENT, SHAPES, all_moves
 from neoworld_mjx.view.report.run_report import write_report
-from neoworld_mjx.view.report.search import convergence
 from tests.support import scenes
 
 EVIL = '<script>alert("x")</script><img src=http://evil/a.png>'
@@ -186,22 +180,6 @@ def test_the_page_loads_nothing_from_the_network(finished):
     assert not re.search(r"url\(|@import|https?://", html)
 
 
-def test_a_row_shows_photograph_and_render_in_one_frame(finished):
-    tree = _tree()
-    jar = tree["nodes"][0] | {"name": "jar", "box2d": {"x0": 20, "y0": 10, "x1": 40, "y1": 30}}
-    (finished / "tree.json").write_text(json.dumps(tree | {"nodes": [jar]}))
-    (finished / "pictures").mkdir(exist_ok=True)
-    Image.new("RGB", (120, 80), "red").save(finished / "pictures" / "after.png")
-    with RunFolder(finished, Config(), "resume") as run:
-        ious = {"parsed": 0.9, "composed": 0.8, "refined": 0.85}
-        run.record("metrics", passed=True, box_iou=ious | {"objects": {"jar": ious}})
-        run.data["status"] = "finished"
-    html = write_report(finished).read_text()
-    row = html.partition('<details class="object">')[2].partition("</summary>")[0]
-    assert row.count("data:image/jpeg") == 2
-    assert "parsed cuboid 0.90, composed 0.80, refined 0.85" in _words(row)
-
-
 def test_text_from_models_is_escaped(finished):
     (finished / "tree.json").write_text(json.dumps(_tree(label=EVIL)))
     (finished / "objects" / "jar" / "verify.json").write_text(
@@ -223,18 +201,6 @@ def test_text_from_models_is_escaped(finished):
     assert "<script" not in html
     assert "evil/a.png" in html
     assert all(link.startswith("data:") for link in _Page(html).links)
-
-
-@pytest.mark.parametrize("hidden", ["\u202e", "\x1b[31m", "\u200b", "\x07"])
-def test_hidden_characters_of_labels_are_escaped(finished, hidden):
-    """They could turn the text around, or control a terminal that prints the page."""
-    label = f"jar {hidden}valid"
-    (finished / "tree.json").write_text(json.dumps(_tree(label=label)))
-    with RunFolder(finished, Config(), "resume") as run:
-        run.fallback("refine", label, label)
-    for html in (write_report(finished).read_text(), server.message(label)):
-        assert hidden[0] not in html
-        assert hidden[0].encode("unicode_escape").decode() in html
 
 
 def test_the_report_of_an_unfinished_run_names_what_is_missing(tmp_path):
@@ -361,83 +327,6 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
     assert "depth" not in row("pixels") and "mask" not in row("pixels")
 
 
-def test_a_rescue_without_rows_of_objects_has_a_table_of_evidence(finished):
-    scene = scenes.coffee()
-    cup = scene.object("cup")
-    (finished / "given.json").write_text(scene.to_json())
-    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.03, "refused": ""}
-    _align(finished, {"cup": _place("none", "it is hidden", depth=depth)}, masks_iou={})
-    words = _photograph(finished)
-    assert "object contour depth mask cup not used: it is hidden" in words
-    assert f"puts it 30 mm above {cup.parent} none" in words
-
-
-def test_the_camera_is_shown_with_its_sources_and_the_picture_of_depth(finished):
-    camera = {
-        "pitch": {"value": 0.5, "deviation": 0.00035, "source": "camera.json"},
-        "roll": {"value": -1e-6, "deviation": 1e-6, "source": "camera.json"},
-        "height": {"value": 0.5123, "deviation": 0.0114, "source": EVIL},
-    }
-    _align(finished, {"jar": _place("pixels")}, camera=camera)
-    words = _photograph(finished)
-    assert "pitch 28.65 ° ±0.02 ° camera.json roll 0.00 ° ±0.01 °" in words
-    assert (
-        "height 0.512 m ±0.011 m" in words and "<script" not in write_report(finished).read_text()
-    )
-    assert "Rendered minus measured" not in words
-    (finished / "pictures").mkdir(exist_ok=True)
-    Image.new("RGB", (64, 48), "white").save(finished / "pictures" / "depth.png")
-    assert "gray where nothing is measured" in _photograph(finished)
-
-
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunError, match="not a run folder"):
         write_report(tmp_path)
-
-
-def test_the_iterations_of_a_search_are_listed(tmp_path):
-    path = tmp_path / "history.npz"
-    _history(path, iterations=2, population=8)
-    with np.load(path) as data:
-        history = {key: data[key] for key in data.files}
-    history["reward"][:] = np.linspace(0, 0.7, 8)
-    history["status"][0, 3:] = scene_refinement.NOT_SAMPLED
-    history["reward"][0, 3:] = history["reward"][1, 0] = -np.inf
-    history["valid"][:] = [[True] * 2 + [False] * 6, [True] * 4 + [False] * 4]
-    np.savez(path, **history | {"s_sem": np.full((2, 8), 0.625)})
-    words = _words(str(convergence(path)))
-    assert search.NOT_SAMPLED == scene_refinement.NOT_SAMPLED
-    assert "s_sem × 2" in words and "1 0.2000 0.1000 3 2 0" in words
-    assert "2 0.7000 0.4000 8 4 1" in words and "0.625" in words
-
-
-def test_changes_by_each_step_are_those_of_the_accepted_round_and_of_the_search(tmp_path):
-    def fit(place, scale=1.0, refused=""):
-        change = {"distance_m": place, "size_ratio": [scale] * 3, "yaw_deg": 0.0}
-        return change | {"refused": refused}
-
-    rounds = [
-        {"kept": False, "fit": {"objects": {"cup": fit(0.9)}}},
-        {"kept": True, "fit": {"objects": {"cup": fit(0.0123, 0.95), "jug": fit(0, 1, "gap")}}},
-    ]
-    (tmp_path / "parse.json").write_text(json.dumps({"rounds": rounds}))
-    (tmp_path / "compose").mkdir()
-    refit = {"objects": {"cup": fit(0.0004)}}
-    (tmp_path / "compose" / "fit.json").write_text(json.dumps(refit))
-    before = scenes.coffee()
-    cup = before.object("cup")
-    for change, words in (
-        ({"xy": (cup.xy[0] + 0.01, cup.xy[1]), "yaw": cup.yaw + 0.1}, "1.0 cm, +0.0 %, +5.7°"),
-        ({"base_tilt": (math.cos(0.1), math.sin(0.1), 0, 0)}, "0.0°, 11.5° with tilt"),
-        ({"xy": (cup.xy[0] + 0.0004, cup.xy[1])}, "unchanged"),
-    ):
-        moved = cup.model_copy(update=change)
-        objects = tuple(moved if o.name == "cup" else o for o in before.objects)
-        after = before.model_copy(update={"objects": objects})
-        (tmp_path / "compose" / "scene.json").write_text(before.to_json())
-        (tmp_path / "scene.json").write_text(after.to_json())
-        moves = all_moves(tmp_path)
-        assert moves["cup"][BOXES] == "1.2 cm, -5.0 %, +0.0°"
-        assert moves["cup"][SHAPES] == "unchanged"
-        assert moves["jug"][BOXES] == "unchanged: the fit was rejected"
-        assert moves["cup"][REFINEMENT].endswith(words)

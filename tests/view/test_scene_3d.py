@@ -107,8 +107,3 @@ def test_data_contain_every_triangle_and_joint():
         assert sum(m["triangles"] for part in drawn["parts"] for m in part) == expected
         for joint in drawn["joints"]:
             assert joint["low"] <= joint["high"] and math.isfinite(joint["high"])
-
-
-def test_a_scene_with_too_many_triangles_is_replaced_by_a_note():
-    page = scene_3d.scene_3d(_scene(scenes.cabinet()), max_triangles=10)
-    assert "over the limit of 10" in page and "<script" not in page

@@ -21,23 +21,20 @@ from neoworld_mjx.estimate.fit_tree import fit_tree
 from neoworld_mjx.estimate.tree_checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.pipeline.place import LayoutEstimate, place
-from neoworld_mjx.program.freed_dimensions import EditablePrograms
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
 from ..dataset.declaration import declaration
 from ..fidelity.rendered_responses import noisy_response, with_boxes_redrawn
-from .dimension_noise import WrongDimensions, editable, with_wrong_dimensions
 from .parse_noise import NoiseLog, refusals, with_other_supports, wrong_parse
 from .program_noise import wrong_program
 
-NoiseLevel = Literal["exact", "layout", "parse", "programs", "dimensions", "all"]
+NoiseLevel = Literal["exact", "layout", "parse", "programs", "all"]
 """Noise of an initial scene.
 
 - exact: no noise.
 - layout: the numbers of the response.
 - parse: layout, and the tree of the response.
 - programs: layout, and the programs.
-- dimensions: layout, and all edges of every program are wrong by 10 %.
 - all: parse and programs.
 """
 EVALUATION = 1
@@ -59,8 +56,6 @@ class InitialScene:
     """Object of every node, by name."""
     name: str
     options: ComposeOptions
-    programs: EditablePrograms
-    """Programs of the objects whose dimensions the alignment may change."""
 
     @cached_property
     def scene(self) -> SceneSpec:
@@ -81,9 +76,7 @@ class InitialScene:
         options = self.options
         if align is not None:
             options = options.model_copy(update={"align": align})
-        return place(
-            self.tree, self.objects, evidence, options, programs=self.programs, name=self.name
-        )
+        return place(self.tree, self.objects, evidence, options, name=self.name)
 
 
 def initial_scene(
@@ -108,16 +101,12 @@ def initial_scene(
         log: log to which the errors of the tree and of programs are added.
 
     Returns:
-        The scene. At the level "dimensions", it comes with the programs of its movable objects.
+        The scene.
     """
     o, log = options or ComposeOptions(), log or NoiseLog()
     shapes, programs = {item.name: item.spec for item in scene.objects}, NoiseLog()
-    texts: dict[str, WrongDimensions] = {}
     if noise in ("programs", "all"):
         shapes |= wrong_shapes(scene, number, programs)
-    elif noise == "dimensions":
-        texts = wrong_edges(scene, number, programs)
-        shapes |= {name: wrong.spec for name, wrong in texts.items()}
     response = tree
     # A fit would move the objects of an exact response by up to some millimeters.
     if noise == "exact":
@@ -132,7 +121,7 @@ def initial_scene(
         response = fitted.response if o.refit else fitted.tree
     log.injected += programs.injected
     log.refused += programs.refused
-    return InitialScene(response, shapes, scene.name, o, editable(texts))
+    return InitialScene(response, shapes, scene.name, o)
 
 
 @dataclass(frozen=True)
@@ -212,19 +201,6 @@ def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, Obje
             parents = frozenset(link for link in links if link is not None)
             shapes[item.name] = wrong_program(item, number, parents, log)
     return shapes
-
-
-def wrong_edges(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, WrongDimensions]:
-    """Return the programs of a scene's movable objects with wrong edges, by name.
-
-    The arguments are the same as for `wrong_shapes`.
-    """
-    names = {item.name for item in scene.objects}
-    return {
-        item.name: with_wrong_dimensions(item, number, log)
-        for item in declaration(scene.name).movable()
-        if item.name in names
-    }
 
 
 def is_evaluation(start: int) -> bool:

@@ -80,7 +80,6 @@ def photograph_section(folder: Path) -> Markup:
         elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
         *(_evidence(folder, aligned) if (folder / GIVEN).is_file() else ()),
         *_openings(objects),
-        *_dimensions(aligned),
     )
 
 
@@ -116,12 +115,6 @@ def _openings(objects: dict[str, Any]) -> list[Markup]:
         for name, item in objects.items()
         for joint, change in item.get("joints", {}).items()
     ]
-
-
-def _dimensions(aligned: dict[str, Any]) -> list[Markup]:
-    """Return a table with the dimensions of programs that the alignment changed."""
-    rows = [[name, freed["phrase"]] for name, freed in aligned.get("dimensions", {}).items()]
-    return [elements.table(["object", "dimensions of its program"], rows)] if rows else []
 
 
 def _camera(aligned: dict[str, Any]) -> str:
