@@ -135,9 +135,12 @@ def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray
 
 
 def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
-    """Return the mix of scratches along u, which are about 40 times as long as their spacing."""
-    fine = noise(np.column_stack([u / (40 * step), 2 * v / step, 0 * u]))
-    return np.clip(_faded(0.5 + 0.6 * fine, pixel, step, 0.5), 0.0, 1.0)
+    """Return the mix of scratches along u, 10 steps long and an eighth of a step apart.
+
+    Wider ones would draw rings around a pot.
+    """
+    fine = noise(np.column_stack([u / (10 * step), 8 * v / step, 0 * u]))
+    return np.clip(_faded(0.5 + 0.6 * fine, pixel, step / 4, 0.5), 0.0, 1.0)
 
 
 def _line(position: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:
