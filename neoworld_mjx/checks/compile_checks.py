@@ -30,6 +30,7 @@ from ..spec import (
 from ..spec.mass import LEAST_KG
 from ..spec.opening import opening_alignment
 from ..spec.shapes import faceted
+from .coplanar_faces import coplanar_faces
 from .joint_sweep import TOUCH_GAP_M, overlap_signals, rest_overlap_signals
 from .signals import Allowance, Signal, deduplicated, error_signal, radians_hint
 from .static_checks import OutOfTime, Probe, line_box_distance
@@ -186,11 +187,11 @@ def _check(
     measure: Callable[[Probe], Iterable[Signal]],
     declared: Sequence[Signal] = (),
 ) -> tuple[Signal, ...]:
-    """Return signals for implausible sizes and masses, `declared`, and the measured signals.
+    """Return signals for sizes, masses and faces in one plane, `declared`, and measured signals.
 
     Measuring ends with an error if it exceeds the processor time `check_timeout_s`.
     """
-    signals = [*plausibility(spec), *declared]
+    signals = [*plausibility(spec), *declared, *coplanar_faces(spec)]
     try:
         signals += measure(Probe(spec, options.check_timeout_s))
     except OutOfTime:

@@ -18,18 +18,14 @@ from ..names import Format, Simulator
 from .agent_run import AgentRun
 
 if TYPE_CHECKING:
-    from ..compose.layout_patch import ObjectPlacement
-    from ..spec import SceneSpec, SceneTree
+    from ..spec import SceneTree
 
 Content = list[str | Picture]
 READ_S = 120.0
 """Maximum time until a run reads a response [s]; a run that continues starts to compute first."""
 WIDTHS = range(16, 1569)
 """Valid widths of a rendered image [px]."""
-FARTHEST_M = 100.0
-"""Maximum shift of an object by an edit, along each axis [m]."""
-LIMITED = ("revolute", "prismatic")
-AGAIN = "(as in an earlier request; next_request(id, repeat=true) returns it again)"
+AGAIN = "(as in the request {}; next_request(id, repeat=true) returns it again)"
 
 
 class AgentTools:
@@ -44,10 +40,8 @@ class AgentTools:
 
     def __init__(self, folder: Path) -> None:
         self.agent_run = AgentRun(folder)
-        self._shown: set[str] = set()
-        """Instructions and schemas of the requests that the agent has answered."""
-        self._sent: dict[str, tuple[str, str]] = {}
-        """Instructions and schema of each request that was returned, by its id."""
+        self._shown: dict[str, str] = {}
+        """Instructions and schemas that were returned, each with the id of the first request."""
 
     def start(
         self,
@@ -79,8 +73,8 @@ class AgentTools:
     ) -> Content:
         """Return an open request: instructions, JSON schema, the request itself, and its pictures.
 
-        Instructions and schemas of requests that you have answered are only named. If no request
-        is open, wait while the run computes.
+        Instructions and schemas that came with another request are only named. If no request is
+        open, wait while the run computes.
 
         Args:
             id: the request; default: the oldest open one.
@@ -95,8 +89,10 @@ class AgentTools:
         parts = [f"# {request.id}", f"{request.title}. Open: {', '.join(open_requests(mailbox))}"]
         schema = json.dumps(without_titles(json.loads(request.schema)), separators=(",", ":"))
         for title, text in (("Instructions", request.instructions), ("JSON schema", schema)):
-            parts += [f"## {title}", AGAIN if text in self._shown and not repeat else text]
-        self._sent[request.id] = request.instructions, schema
+            first = self._shown.setdefault(text, request.id)
+            # A result may be lost on its way, so an open request is returned with all that it had.
+            known = first != request.id and not repeat
+            parts += [f"## {title}", AGAIN.format(first) if known else text]
         labels = [f"{p.label}: {p.size[0]} x {p.size[1]} px" for p in request.pictures]
         parts += ["## Pictures, below in this order", "\n".join(labels), "## Request"]
         return ["\n\n".join([*parts, request.prompt]), *request.pictures]
@@ -154,15 +150,14 @@ class AgentTools:
         reason = respond(self.agent_run.mailbox, id, text, timeout_s=READ_S)
         if reason:
             raise SpecError(f"rejected: {reason}")
-        self._shown.update(self._sent.pop(id, ()))
         self.agent_run.wait(2.0)
         return [f"accepted\n{self.agent_run.state()}"]
 
     def build(self, program: str, object: str) -> Content:
         """Run an object program in the sandbox, check and draw it; nothing is submitted.
 
-        The pictures show the crop of the photograph, the object in the same frame, and, if parts
-        move, the object with open joints.
+        The picture "compared" shows the crop of the photograph and, beside it, the object in the
+        same frame and size; "opened" shows the object with open joints, if parts move.
 
         Args:
             program: text of the program.
@@ -171,7 +166,7 @@ class AgentTools:
         from ..parse.crops import crops
         from ..program.sandbox import build
         from ..program.stages import compare_to_node
-        from ..program.views import draw, draw_in_place
+        from ..program.views import compare, draw
         from ..spec import bounds, inertial
 
         config, tree = self.agent_run.config(), _tree(self.agent_run.current())
@@ -191,7 +186,7 @@ class AgentTools:
         ]
         rows += [s.phrase() for s in (*built.signals, *compare_to_node(spec, node))]
         crop = crops(self.agent_run.photo()[0], tree)[object]
-        pictures = [crop.picture, draw_in_place(spec, node, tree.camera, crop.window)]
+        pictures = compare(crop.picture, spec, node, tree.camera, crop.window)
         if any(joint.type != "fixed" for joint in spec.joints):
             pictures.append(draw(spec, node, tree.camera, opened=True))
         labels = ", ".join(picture.label for picture in pictures)
@@ -249,13 +244,15 @@ class AgentTools:
 
     def edit(
         self,
-        object: str,
+        object: str = "",
         move: tuple[float, float] = (0.0, 0.0),
         turn_deg: float = 0.0,
         joints: dict[str, float] | None = None,
         program: str | None = None,
+        undo: bool = False,
+        wait_s: float = 45.0,
     ) -> Content:
-        """Change an object of a finished run, and compute the later steps again.
+        """Change an object of a finished run, compute the later steps again, and return the result.
 
         Without changes, return the object's pose in the world and its joints.
 
@@ -265,39 +262,35 @@ class AgentTools:
             turn_deg: turn about the vertical [deg], anticlockwise seen from above.
             joints: positions by joint [rad or m].
             program: another program; the object is scaled to its size in the photograph.
+            undo: take back the last edit instead; repeatable.
+            wait_s: maximum time to wait for the result [s]; after that, call next_request().
         """
-        from ..compose.layout_patch import read_layout_patch, write_layout_patch
-        from ..io.files import write_inside
-        from ..program.ask import written_without_model
-        from ..program.sandbox import build
-        from ..spec import read_scene, world_poses
-        from ..spec.pose import yaw_of
+        from ..spec import read_scene
+        from .agent_edits import apply_edit, pose_in_words, undo_edit
 
         out = self.agent_run.current()
         if self.agent_run.result is None:
             raise RunError(f"the run has not finished: {self.agent_run.state()}")
         scene = read_scene(out)
         names = [item.name for item in scene.objects]
-        if object not in names:
-            raise SpecError(f"object: {choices(object, names)}")
-        placement = _placement(scene, object, move, turn_deg, joints or {})
-        if placement is None and program is None:
-            item, pose = scene.object(object), world_poses(scene)[object]
-            at = " ".join(f"{value:.4f}" for value in pose.pos.tolist())
-            turn = f"yaw_deg {math.degrees(yaw_of(pose.quat)):.2f}"
-            joint_state = json.dumps(item.joint_state)
-            return [f"{object} on {item.parent}: at {at}, {turn}, joints {joint_state}"]
-        if program is not None:
-            built = build(program, self.agent_run.config().program)
-            if not built.ok:
-                raise SpecError("; ".join(signal.phrase() for signal in built.signals))
-            for file, text in written_without_model("edit", program, built).files().items():
-                write_inside(out, f"objects/{object}/{file}", text)
-        if placement is not None:
-            write_layout_patch(out, read_layout_patch(out).merged(object, placement))
-        self.agent_run.repeat("compose" if program is None else "verify")
-        self.agent_run.wait(5.0)
-        return self.status()
+        if undo:
+            done, step = undo_edit(out)
+        else:
+            if object not in names:
+                raise SpecError(f"object: {choices(object, names)}")
+            change = apply_edit(
+                out, scene, object, move, turn_deg, joints or {}, program, self.agent_run.config()
+            )
+            if change is None:
+                return [pose_in_words(scene, object)]
+            done, step = change
+        self.agent_run.repeat(step)
+        self.agent_run.wait(min(max(wait_s, 0.0), 600.0))
+        rows = [done, *self.status()]
+        if self.agent_run.result is not None and object in names:
+            rows += [f"before: {pose_in_words(scene, object)}"]
+            rows += [f"now: {pose_in_words(read_scene(out), object)}"]
+        return ["\n".join(map(str, rows))]
 
     def export(
         self,
@@ -324,42 +317,6 @@ class AgentTools:
 
 TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))
 """Names of the tools."""
-
-
-def _placement(
-    scene: "SceneSpec",
-    name: str,
-    move: tuple[float, float],
-    turn_deg: float,
-    joints: dict[str, float],
-) -> "ObjectPlacement | None":
-    """Return an edit of an object in its parent's frame; None if nothing changes."""
-    from ..compose.layout_patch import ObjectPlacement
-    from ..spec import joint_keys, support_frame, world_poses
-    from ..spec.pose import conjugate, pose, rotate
-
-    item, change = scene.object(name), dict[str, Any]()
-    if max(map(abs, move)) > FARTHEST_M:
-        raise SpecError(f"move: got {list(move)}, valid is up to {FARTHEST_M:g} m")
-    if any(move):
-        frame = pose()
-        if item.parent is not None:
-            parent_pose = world_poses(scene)[item.parent]
-            frame = support_frame(scene.object(item.parent), parent_pose, item.parent_link)
-        x, y, _ = rotate(conjugate(frame.quat), [*move, 0.0]).tolist()
-        change["xy"] = (item.xy[0] + x, item.xy[1] + y)
-    if turn_deg:
-        change["yaw"] = item.yaw + math.radians(turn_deg)
-    known = [key for joint in item.spec.joints for key in joint_keys(joint)]
-    ranges = {joint.name: joint for joint in item.spec.joints if joint.type in LIMITED}
-    for joint, value in joints.items():
-        if joint not in known:
-            raise SpecError(f"joints: {choices(joint, known)}")
-        if joint in ranges and not ranges[joint].lower <= value <= ranges[joint].upper:
-            valid = f"{ranges[joint].lower:g} to {ranges[joint].upper:g}"
-            raise SpecError(f"joints: {joint}: got {value:g}, valid is {valid}")
-        change.setdefault("joint_state", {})[joint] = value
-    return ObjectPlacement(**change) if change else None
 
 
 def _tree(out: Path) -> "SceneTree":

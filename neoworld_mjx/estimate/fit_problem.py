@@ -81,13 +81,22 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
     return np.concatenate([sides, contact], axis=1)
 
 
-def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
-    """Return the intersection over union of each projected outline and 2D box, from 0 to 1.
+def nearest_boxes(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, "n 4"]:
+    """Return the box of each projected outline (x0, y0, x1, y1) that is nearest to the 2D box [px].
 
-    A hidden side agrees with every outline that extends beyond it.
+    Where the outline is not known, its sides lie anywhere between those of the smallest and of the
+    largest outline. A hidden side agrees with every outline that extends beyond it.
     """
-    outward = _OUTWARD * data.boxes
-    projected = _OUTWARD * (outward - outline_residuals(data, x)[:, :4])
+    return data.boxes - _OUTWARD * outline_residuals(data, x)[:, :4]
+
+
+def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
+    """Return the agreement of each projected outline with its 2D box, from 0 to 1.
+
+    The agreement is the intersection over union of the 2D box and the nearest box of the outline,
+    see `nearest_boxes`.
+    """
+    projected = nearest_boxes(data, x)
     low = np.maximum(projected[:, :2], data.boxes[:, :2])
     high = np.minimum(projected[:, 2:], data.boxes[:, 2:])
     shared = np.prod(np.maximum(high - low, 0.0), axis=1)
@@ -327,6 +336,23 @@ class FitProblem:
         )
 
 
+def outline_data(
+    tree: SceneTree,
+    objects: Sequence[TreeNode],
+    shapes: Mapping[str, Wireframe],
+    shown: Mapping[str, SidesShown],
+) -> FitData:
+    """Return the data of objects with their outlines; see `fit_problem`."""
+    silhouettes = [
+        Silhouette(shapes[node.name].hull, shapes[node.name].hull, shapes[node.name].hull)
+        if node.name in shapes
+        else silhouette_of(node)
+        for node in objects
+    ]
+    data = object_data(tree, objects, shapes, shown, silhouettes)
+    return replace(data, cut=cut_surfaces(data, shapes, silhouettes))
+
+
 def fit_problem(
     tree: SceneTree,
     objects: Sequence[TreeNode],
@@ -343,14 +369,7 @@ def fit_problem(
         shown: visible sides of the built shapes, see `hidden_sides`.
     """
     shapes, shown = shapes or {}, shown or {}
-    silhouettes = [
-        Silhouette(shapes[node.name].hull, shapes[node.name].hull, shapes[node.name].hull)
-        if node.name in shapes
-        else silhouette_of(node)
-        for node in objects
-    ]
-    data = object_data(tree, objects, shapes, shown, silhouettes)
-    data = replace(data, cut=cut_surfaces(data, shapes, silhouettes))
+    data = outline_data(tree, objects, shapes, shown)
     # A side far within the outline is hidden, even if it is visible at the parsed position.
     far_inside = (
         outline_residuals(data, data.initial_unknowns())[:, :4] < -HIDDEN_RESIDUAL * data.side_sd

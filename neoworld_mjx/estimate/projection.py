@@ -43,6 +43,11 @@ BALL_POINTS = np.array(
         for x, y in _RIM
     ]
 )
+TOUCHING_POINTS = np.array(
+    [(-0.5, 0, 0.5), (0.5, 0, 0.5), (0, -0.5, 0.5), (0, 0.5, 0.5), (0, 0, 0), (0, 0, 1)]
+)
+"""The middles of a box's faces: any shape fills its box in all three directions, but one of an
+unknown category, such as a pot with two handles, may fill nothing else of it."""
 _HANDLE = np.array([[0.5, y, z] for y in (-0.08, 0.08) for z in (0.35, 0.8)])
 _TAIL = np.array([[-0.5, y, z] for y in (-0.15, 0.15) for z in (0.5, 1.0)])
 _MIN_HANDLE = 1.1
@@ -96,13 +101,18 @@ class Silhouette(NamedTuple):
 
 
 def silhouette_of(node: TreeNode) -> Silhouette:
-    """Return the smallest and the largest silhouette of a node's category."""
+    """Return the smallest and the largest silhouette of a node's outline or category."""
+    if node.outline.shape != "rectangle":
+        flat = node.outline.corners()
+        ends = np.vstack([np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, 1.0)])
+        return Silhouette(ends, ends, BOX_POINTS)
     points, weight = outline_points(node)
     outline = outline_of(node)
     if outline == "tapered":
         return Silhouette(_NARROW_POINTS, ROUND_POINTS, BOX_POINTS, True)
-    outer = BOX_POINTS if weight > 0 else points
-    inner = BOX_POINTS if weight == 1 else points
+    if 0 < weight < 1:
+        return Silhouette(TOUCHING_POINTS, BOX_POINTS, BOX_POINTS)
+    outer = inner = points
     if weight < 1 and not np.allclose(node.base_tilt, IDENTITY):
         # The neck or the foot of a lying object may be visible from its end.
         inner = BALL_POINTS

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from ..measure.boxes import (
@@ -27,6 +28,7 @@ from ..measure.boxes import (
 )
 from ..spec import SceneTree, TreeNode
 from .fit_data import EDGE, hidden_sides
+from .fit_problem import nearest_boxes, outline_data
 from .priors import size_range
 from .projection import expected_box, outline_of
 
@@ -103,22 +105,29 @@ def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
     return (mean_agreement + clean) / 2
 
 
-def agreement(tree: SceneTree, node: TreeNode) -> float:
-    """Return the agreement of a node's projected 3D box with its 2D box, in [0, 1].
+def nearest_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | None:
+    """Return the box of a node's projected outline that is nearest to its 2D box [px].
 
-    For a fully visible object, the agreement is the intersection over union. Hidden sides of a 2D
-    box may lie anywhere within the projection.
+    Returns:
+        The box (x0, y0, x1, y1), see `nearest_boxes`; None if the node is outside the picture.
     """
-    expected = expected_box(tree.camera, node)
-    if expected is None:
+    if expected_box(tree.camera, node) is None:
+        return None
+    data = outline_data(tree, [node], {}, {})
+    return nearest_boxes(data, data.initial_unknowns())[0]
+
+
+def agreement(tree: SceneTree, node: TreeNode) -> float:
+    """Return the agreement of a node's outline in its 3D box with its 2D box, in [0, 1].
+
+    It is the intersection over union of the 2D box and `nearest_outline`: hidden sides of a 2D box
+    may lie anywhere within the projection, and those of an object of unknown shape anywhere between
+    its smallest and its largest outline.
+    """
+    nearest = nearest_outline(tree, node)
+    if nearest is None or nearest[0] >= nearest[2] or nearest[1] >= nearest[3]:
         return 0.0
-    visible = np.array(node.box2d.as_tuple())
-    hidden = hidden_sides(tree, node)
-    outer = np.array([-1, -1, 1, 1]) * (expected - visible) > 0
-    cut = np.where(hidden & outer, visible, expected)
-    if cut[0] >= cut[2] or cut[1] >= cut[3]:
-        return 0.0
-    return iou_2d(cut, visible)
+    return iou_2d(nearest, node.box2d)
 
 
 def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
@@ -136,16 +145,15 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
 
 def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
     """Return True if every visible side is within the reading error of the projected box."""
-    expected = expected_box(tree.camera, node)
-    if expected is None:
+    nearest = nearest_outline(tree, node)
+    if nearest is None:
         return False
-    residual = np.abs(expected - np.array(node.box2d.as_tuple()))[~hidden_sides(tree, node)]
-    return bool(np.all(residual <= _edge(tree)))
+    return bool(np.all(np.abs(nearest - np.array(node.box2d.as_tuple())) <= _edge(tree)))
 
 
 def _mismatch(tree: SceneTree, node: TreeNode) -> str:
     """Describe the difference between the projected box and the 2D box."""
-    expected = expected_box(tree.camera, node)
+    expected = nearest_outline(tree, node)
     if expected is None:
         return ": it lies outside the picture"
     visible = np.array(node.box2d.as_tuple())

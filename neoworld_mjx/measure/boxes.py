@@ -6,13 +6,14 @@ are compared with the parsed boxes of the photograph.
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 from numpy.typing import NDArray
 
-from ..spec import Box2D, Box3D, SceneSpec, SceneTree, TreeNode, bounds, world_poses
+from ..spec import Box2D, Box3D, SceneSpec, TreeNode, bounds, world_poses
 from ..spec.pose import ArrayLike, angle_between, yaw_of
 from ..spec.triangles import polygon_area
 
@@ -184,27 +185,13 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     }
 
 
-def parsed_box_iou(tree: SceneTree) -> dict[str, float]:
-    """Return the intersection over union of each parsed 2D box and the projected parsed 3D box.
-
-    The projections are clipped at the image border. Occlusion is ignored, since the 3D box of a
-    container would occlude the container's contents.
-    """
-    size = np.array([tree.camera.width, tree.camera.height_px])
-    ious = {}
-    for node in tree.nodes:
-        if not node.environment:
-            pixels, _ = tree.camera.project(node.box3d.corners(node.base_tilt))
-            clipped = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
-            ious[node.name] = iou_2d(clipped.ravel(), node.box2d)
-    return ious
-
-
-def box_iou(tree: SceneTree, composed: SceneSpec, refined: SceneSpec) -> dict[str, Any]:
+def box_iou(parsed: Mapping[str, float], composed: SceneSpec, refined: SceneSpec) -> dict[str, Any]:
     """Compare the boxes of a run with the parsed 2D boxes, by intersection over union.
 
-    The boxes of three steps are compared: the 3D boxes of the parse, and the visible boxes in the
-    composed scene and in the refined scene.
+    Args:
+        parsed: value of each object of the parse, see `estimate.tree_checks.agreement`.
+        composed: the composed scene, whose visible boxes are compared.
+        refined: the refined scene, whose visible boxes are compared.
 
     Returns:
         "parsed", "composed" and "refined" are the means over all objects, or None if there are no
@@ -212,7 +199,7 @@ def box_iou(tree: SceneTree, composed: SceneSpec, refined: SceneSpec) -> dict[st
         contains the three values of each object, by name.
     """
     steps = {
-        "parsed": parsed_box_iou(tree),
+        "parsed": parsed,
         "composed": visible_box_iou(composed),
         "refined": visible_box_iou(refined),
     }

@@ -30,6 +30,8 @@ COLOURS = (
 )
 """Colors of objects by their support; supports are numbered in the order of the nodes."""
 
+HEAD = 0.3
+"""Length and width of an arrow's head, relative to the half length and the width of the base."""
 Region = tuple[int, int, int, int]
 
 
@@ -42,8 +44,8 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
     Args:
         photo: the photograph.
         tree: the parsed scene, in pixels of the original photo.
-        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes, and a line from the
-            center of each base to the object's front. Their pixels depend on the rounding of the
+        draw_3d_boxes: if True, also draw the projected edges of the 3D boxes, and an arrow
+            from the center of each base to the front. Their pixels depend on the rounding of the
             machine, so no request contains such a picture.
     """
     canvas = np.array(photo.rgb)
@@ -244,11 +246,14 @@ def _edges(
         for start, end in edges_in_view(tree.camera, node.box3d.corners(node.base_tilt)):
             ends = [tuple((point * scale).tolist()) for point in (start, end)]
             draw.line(ends, fill=colours[node.name], width=1)
-        if not node.environment:  # A thicker line leads from the center of the base to the front.
+        if not node.environment:  # An arrow leads from the center of the base to the front.
             corners = node.box3d.corners(node.base_tilt)
-            ends = np.array([corners[::2].mean(axis=0), corners[4::2].mean(axis=0)])
-            pixels, depth = tree.camera.project(ends)
+            middle, front = corners[::2].mean(axis=0), corners[4::2].mean(axis=0)
+            back, side = (front - middle) * HEAD, (corners[6] - corners[4]) * HEAD / 2
+            points = np.array([middle, front, front - back + side, front - back - side])
+            pixels, depth = tree.camera.project(points)
             if depth.min() > NEAR_M:
-                line = [tuple(point) for point in (pixels * scale).tolist()]
-                draw.line(line, fill=colours[node.name], width=3)
+                tail, tip, *barbs = [tuple(point) for point in (pixels * scale).tolist()]
+                draw.line([tail, tip], fill=colours[node.name], width=3)
+                draw.polygon([tip, *barbs], fill=colours[node.name])
     return np.array(image)

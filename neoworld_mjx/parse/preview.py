@@ -5,6 +5,7 @@ checked and fitted as Step 1 does, so the preview shows what the run would find.
 """
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,8 +14,13 @@ from numpy.typing import NDArray
 
 from ..config import ParseOptions
 from ..errors import SpecError
-from ..estimate.projection import expected_box
-from ..estimate.tree_checks import agreement
+from ..estimate.projection import expected_box, outline_of
+from ..estimate.tree_checks import (
+    AGREEMENT_ERROR,
+    AGREEMENT_WARNING,
+    agreement,
+    nearest_outline,
+)
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture
 from ..mllm.panel import run_coroutine
@@ -33,8 +39,9 @@ class Preview(NamedTuple):
     picture: Picture
     """The photograph with 2D and 3D boxes; the 3D boxes are those of the response."""
     objects: list[dict[str, object]]
-    """For each object, the 2D box and the box of the projected 3D box [px], their agreement, the
-    gap above the support [m], and the changes by the fit."""
+    """For each object, the 2D box and the nearest box of the projected outline [px], their IoU, the
+    class of the outline, the heading [deg], the gap above the support [m], and the changes by the
+    fit."""
     issues: list[str]
     """Issues that remain after the fit, one line each. A run asks for corrections of the errors."""
 
@@ -64,9 +71,18 @@ def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None
     )
 
 
+LEGEND = (
+    "box_iou: intersection over union of `box` and `outline`, the box of what the 3D box shows of "
+    f"such an object, as in run.json; below {AGREEMENT_WARNING:g} is a warning, below "
+    f"{AGREEMENT_ERROR:g} an error. The arrow on each base points to the front (yaw_deg)."
+)
+LOOSE = "loose (fills its 3D box anyhow: box_iou says little, compare the pictures)"
+"""Class of an outline whose sides lie anywhere between the middles of faces and the 3D box."""
+
+
 def number_lines(objects: list[dict[str, object]], issues: list[str]) -> list[str]:
-    """Return the numbers of a preview as lines of text."""
-    rows = []
+    """Return the numbers of a preview as lines of text, with a line that explains them."""
+    rows = [LEGEND]
     for entry in objects:
         texts = [f"{key} {_text(value)}" for key, value in entry.items() if key != "name"]
         rows.append(f"{entry['name']}: {'; '.join(texts)}")
@@ -89,15 +105,16 @@ def _scene(photo: Photo, text: str, prompt: str) -> ParsedScene:
 def _numbers(
     attempt: SceneAttempt, tree: SceneTree, node: TreeNode, scale: float
 ) -> Iterator[tuple[str, object]]:
-    projected = expected_box(tree.camera, node)
+    is_support = node.environment
+    projected = expected_box(tree.camera, node) if is_support else nearest_outline(tree, node)
     yield "name", node.name
     yield "box", _pixels(node.box2d.as_tuple(), scale)
-    if projected is None:
-        yield "3D box", "outside the picture"
-    else:
-        yield "3D box", _pixels(projected, scale)
-    if not node.environment:
-        yield "agreement", round(agreement(tree, node), 2)
+    yield "outline", "outside the picture" if projected is None else _pixels(projected, scale)
+    if not is_support:
+        yield "box_iou", round(agreement(tree, node), 2)
+        outline = outline_of(node)
+        yield "class", LOOSE if outline == "loose" else outline
+        yield "yaw_deg", round(math.degrees(node.box3d.yaw))
     if node.parent is not None and node.relation == "on":
         box = tree.node(node.parent).box3d
         yield "gap_m", round(node.box3d.position[2] - box.position[2] - box.size[2], 3)
@@ -108,7 +125,8 @@ def _numbers(
             return
         yield "fit_moves_m", round(change.distance_m, 3)
         yield "fit_scales", [round(ratio, 2) for ratio in change.size_ratio]
-        yield "fit_agreement", round(change.agreement_after, 2)
+        yield "fit_turns_deg", round(change.yaw_deg, 1)
+        yield "fit_box_iou", round(change.agreement_after, 2)
 
 
 def _pixels(box: Sequence[float] | NDArray, scale: float) -> list[int]:

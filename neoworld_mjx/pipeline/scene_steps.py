@@ -33,6 +33,7 @@ def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..compose.layout_patch import read_layout_patch
     from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
+    from ..estimate.tree_checks import agreement
     from ..measure import box_iou, object_moves, scene_checks
     from .given_evidence import kept_inputs
     from .place import refine_placed
@@ -102,7 +103,10 @@ def refine_layout(context: StepContext) -> None:
         }
         # Boxes of a rescue are no evidence.
         if (run.path / TREE).is_file() and not (run.path / GIVEN).is_file():
-            summary["box_iou"] = box_iou(read_tree(run, before="program"), composed, scene)
+            tree = read_tree(run, before="program")
+            objects = [node for node in tree.nodes if not node.environment]
+            parsed = {node.name: agreement(tree, node) for node in objects}
+            summary["box_iou"] = box_iou(parsed, composed, scene)
         (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
         run.record("refine", seconds=placed.seconds)
         for note in refined.fallbacks:

@@ -190,7 +190,7 @@ Moving parts seen in the photo: {moving}.
 {measures}
 Judge it.
 """
-_GEOMETRY = """The box measured in the photo is {measured} m.
+_GEOMETRY = """The box that the program had to fill is {measured} m.
 The built object measures {size} m (front to back, across, up). Its parts: {parts}."""
 _ARTICULATION = """\
 The built object measures {size} m (front to back, across, up). Its parts: {parts}.
@@ -212,7 +212,7 @@ def critic_request(
         critic: "geometry", "articulation" or "export".
         node: the parsed object.
         spec: the programmed object.
-        pictures: the crop, and the other pictures that the critic's instructions name.
+        pictures: the pictures that the critic's instructions name.
     """
     low, high = bounds(spec)
     links = [f"- {part.name}: {inertial(spec, part).mass:.3g} kg" for part in spec.parts]
@@ -239,7 +239,9 @@ def critic_request(
 def _posed_in(labels: Set[str]) -> str:
     """Return the template of the sentence that says which of these pictures show the tilt."""
     upright = [f'"{label}"' for label in ("exported", "opened") if label in labels]
-    text = "In the crop {way}" + (', and in "made" as well' if "made" in labels else "")
+    built = ', and in "made" as well' if "made" in labels else ""
+    built = ", and so it does on the right" if "compared" in labels else built
+    text = "In the crop {way}" + built
     if upright:
         text += f"; {' and '.join(upright)} {'show' if upright[1:] else 'shows'} it upright"
     return f"{text}.\n"

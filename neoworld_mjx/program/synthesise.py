@@ -50,7 +50,7 @@ from .stages import (
     urdf_round_trip,
 )
 from .supports import support_program
-from .views import draw, draw_exported, draw_in_place
+from .views import compare, draw, draw_exported
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -244,8 +244,9 @@ class _Synthesis:
             for box in filter(None, map(corrected_box, critiques)):
                 self._resize(box, "the critic")
             rejecting = [critique for critique in critiques if not accepts(critique)]
+            built = self._compared(attempt)[-1] if attempt.built.spec is not None else None
             request = revise_request(
-                self.subject, self._stage_input, attempt.text, rejecting, self._render(attempt)
+                self.subject, self._stage_input, attempt.text, rejecting, built
             )
             revision = await self.ask("revise", request)
             if revision is None:
@@ -319,14 +320,11 @@ class _Synthesis:
         """Return the critiques by the stage's critics."""
         return [attempt.critiques[name] for name in self.stage.critics if name in attempt.critiques]
 
-    def _render(self, attempt: ProgramAttempt) -> Picture | None:
-        """Return a picture of an attempt's object, in the photo's view if the view is known."""
-        spec, (node, _, _, camera, window) = attempt.built.spec, self.subject
-        if spec is None:
-            return None
-        if camera is None or window is None:
-            return draw(spec, node, camera)
-        return draw_in_place(spec, node, camera, window)
+    def _compared(self, attempt: ProgramAttempt) -> list[Picture]:
+        """Return the crop beside an attempt's object, or as another picture; see `compare`."""
+        node, crop, _, camera, window = self.subject
+        spec = attempt.built.spec
+        return [crop] if spec is None else compare(crop, spec, node, camera, window)
 
     def _critic_requests(self, attempt: ProgramAttempt) -> dict[str, Request[Critique]]:
         """Return the requests by critic, for enabled critics that can judge the object.
@@ -337,15 +335,13 @@ class _Synthesis:
         spec, node, camera = attempt.built.spec, self.subject.node, self.subject.camera
         if spec is None:
             return {}
-        picture = self._render(attempt)
-        assert picture is not None
         moves = any(joint.type != "fixed" for joint in spec.joints)
         open_pictures = [draw(spec, node, camera, opened=True)] if moves else []
         requests: dict[str, Request[Critique]] = {}
         for name in self.stage.critics:
             if not getattr(self.options, f"{name}_critic"):
                 continue
-            pictures = [self.subject.crop, picture]
+            pictures = self._compared(attempt)
             if name == "articulation":
                 if not moves:
                     continue

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from ..mllm import Picture
 from ..render import View, render, render_object, to_png
@@ -23,11 +24,17 @@ from ..spec.scale import fit_to_box
 from .critique import to_camera
 
 WIDTH, HEIGHT = 448, 384
+HALF_PX = 640
+"""Longer side of each half of the picture "compared" [px]."""
+GAP_PX = 8
+"""Width of the white gap between the halves [px]."""
+AROUND = 128
+"""Gray level around a crop that is smaller than its half."""
 OPEN_FRACTION = 0.8
 """Position of joints in the picture "opened", as a fraction of the open limit."""
 FRAME = (255, 255, 255)
 MIN_VISIBLE = 0.1
-"""Smallest fraction of the object's 2D box in the crop for a picture in the frame of the crop."""
+"""Smallest fraction of the object's 2D box in the crop for a picture beside the crop."""
 NEAR_M = 0.02
 """An object that has a vertex closer to the camera than this [m] is rendered alone."""
 
@@ -115,21 +122,25 @@ def _picture(
     return DescribedPicture(label, render_png, shows)
 
 
-def draw_in_place(
-    spec: ObjectSpec, node: TreeNode, camera: Camera, window: Window
-) -> DescribedPicture:
-    """Return a picture of an object in its parsed pose, in the frame of the object's crop.
+def compare(
+    crop: Picture, spec: ObjectSpec, node: TreeNode, camera: Camera | None, window: Window | None
+) -> list[Picture]:
+    """Return the picture "compared": the crop on the left, the built object on the right.
 
-    If the object extends beyond the crop, the picture is larger than the crop, and a white frame
-    marks the crop. If the fraction of the object's 2D box in the crop is below `MIN_VISIBLE`, or
-    the object is too close to the camera, the result is that of `draw`.
+    Both halves have the same camera, frame and size. If the object extends beyond the crop, the
+    frame does as well: gray surrounds the crop, and a white frame marks it on the right. Without a
+    view of the photo, with less of the object's 2D box than `MIN_VISIBLE` in the crop, or with the
+    object too close to the camera, the result is the crop and the picture of `draw`.
 
     Args:
+        crop: the crop.
         spec: the object, which is scaled to the parsed box.
         node: the parsed object, which states the pose and how far parts are open.
         camera: the photo's camera.
         window: area of the photo that the crop shows (x0, y0, x1, y1) [px].
     """
+    if camera is None or window is None:
+        return [crop, draw(spec, node, camera)]
     obj, points = _place(spec, node)
     pixels, depth = camera.project(points)
     extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
@@ -139,28 +150,34 @@ def draw_in_place(
         np.prod(np.maximum(high - low, 0)) / max(float(np.prod(extent[2:] - extent[:2])), 1)
     )
     if depth.min() < NEAR_M or visible_fraction < MIN_VISIBLE:
-        return draw(spec, node, camera)
+        return [crop, draw(spec, node, camera)]
     x0, y0, x1, y1 = (
         np.concatenate([np.minimum(extent[:2], frame[:2]), np.maximum(extent[2:], frame[2:])])
         .round(1)
         .tolist()
     )
-    view = View.through(camera, (x0, y0, x1, y1), WIDTH)
+    view = View.through(camera, (x0, y0, x1, y1), HALF_PX)
 
     def render_png() -> bytes:
-        image = render(single_object_scene(obj), view)
-        canvas = np.array(image.color)
+        made = np.array(render(single_object_scene(obj), view).color)
+        scale = view.width / (x1 - x0)
+        marked = ((frame - [x0, y0, x0, y0]) * scale).round().astype(int)
         if (x0, y0, x1, y1) != tuple(frame.round(1).tolist()):
-            scale = view.width / (x1 - x0)
-            _outline(canvas, ((frame - [x0, y0, x0, y0]) * scale).round().astype(int))
-        return to_png(canvas)
+            _outline(made, marked)
+        left, top = np.clip(marked[:2], 0, [view.width - 1, view.height - 1]).tolist()
+        size = np.minimum(marked[2:], [view.width, view.height]) - [left, top]
+        shown = Image.fromarray(crop.rgb).resize(np.maximum(size, 1).tolist())
+        half = np.full_like(made, AROUND)
+        half[top : top + shown.height, left : left + shown.width] = shown
+        gap = np.full((view.height, GAP_PX, 3), 255, np.uint8)
+        return to_png(np.concatenate([half, gap, made], axis=1))
 
     place = np.round([*obj.xy, obj.z, obj.yaw, *obj.base_tilt], 4).tolist()
     # The last digits of a fitted pose differ between processors.
     state = sorted((name, round(value, 4)) for name, value in obj.joint_state.items())
     lens = [round(camera.focal, 2), x0, y0, x1, y1, *np.round(window, 1).tolist()]
-    shows = f"{spec.to_json()}{state}{place}{_numbers(view)}{lens}"
-    return DescribedPicture("made", render_png, shows)
+    shows = f"{crop.pixels}{spec.to_json()}{state}{place}{_numbers(view)}{lens}"
+    return [DescribedPicture("compared", render_png, shows)]
 
 
 def _place(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..spec import SurfacePattern
 
-DARKER = {"brushed": 0.8, "veins": 0.72, "weave": 0.75, "speckles": 0.7}
+DARKER = {"brushed": 0.9, "veins": 0.72, "weave": 0.75, "speckles": 0.7}
 """Ratio of the second to the first color, in linear light, for patterns without a second color."""
 JOINT_DARKER = 0.4
-GAPS = 0.42
+GAPS = 0.075
 """Mean fraction of a surface that the gaps of a weave cover."""
 MAX_DETAIL = 0.25
 """Size of a pixel, relative to the period of a pattern, at which the pattern fades to its mean."""
@@ -121,27 +121,26 @@ def _veins(p: NDArray, step: float) -> tuple[NDArray, NDArray]:
 
 
 def _weave(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> tuple[NDArray, NDArray]:
-    """Return mix and brightness of rows of loops with gaps between the loops.
-
-    A row is half as wide as a loop is long.
-    """
-    row = np.floor(2.0 * v / step)
-    jitter = 0.5 * row + 0.2 * _hashed(row, 0 * row)
-    column = np.floor(u / step + jitter)
-    across = np.sin(np.pi * (2.0 * v / step - row))
-    along = np.sin(np.pi * (u / step + jitter - column))
-    gaps = 1.0 - _ramp(across * np.sqrt(along), 0.05, 0.75)
-    mix = _faded(gaps, pixel, step / 2, GAPS)
-    light = 1.0 + _faded(0.14 * _hashed(row, column), pixel, step / 2, 0.0)
+    """Return mix and brightness of a plain weave: threads that pass over and under in turn."""
+    column, row = np.floor(u / step), np.floor(v / step)
+    across, along = (2.0 * (w / step - k) - 1.0 for w, k in ((u, column), (v, row)))
+    # In every second field the thread along v is above; it is round, and dives at its ends.
+    above = (row + column) % 2 == 0
+    side, end = np.where(above, across, along), np.where(above, along, across)
+    mix = _faded(_ramp(np.abs(side), 0.85, 1.0), pixel, step, GAPS)
+    uneven = 0.05 * _hashed(np.where(above, column, row), above.astype(float))
+    rounded = np.where(above, 0.06, -0.06) - 0.1 * (end * end - 1 / 3)
+    light = 1.0 + _faded(uneven + rounded, pixel, step, 0.0)
     return mix, light
 
 
 def _brushed(u: NDArray, v: NDArray, step: float, pixel: NDArray) -> NDArray:
-    """Return the mix of scratches along u, which are about 40 times as long as their spacing."""
-    fine = noise(np.column_stack([u / (40 * step), 2 * v / step, 0 * u]))
-    broad = noise(np.column_stack([u / (90 * step), 0.4 * v / step, 0 * u + 3.0]))
-    scratched = _faded(0.45 + 0.6 * fine, pixel, step, 0.45) + 0.15 * broad
-    return np.clip(scratched, 0.0, 1.0)
+    """Return the mix of scratches along u, 10 steps long and an eighth of a step apart.
+
+    Wider ones would draw rings around a pot.
+    """
+    fine = noise(np.column_stack([u / (10 * step), 8 * v / step, 0 * u]))
+    return np.clip(_faded(0.5 + 0.6 * fine, pixel, step / 4, 0.5), 0.0, 1.0)
 
 
 def _line(position: NDArray, period: float, width: float, pixel: NDArray) -> NDArray:

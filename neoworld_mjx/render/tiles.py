@@ -30,11 +30,11 @@ GRAIN_M = 0.32
 _STEPS: dict[str, tuple[int, int]] = {
     # Size along u and v in steps of the pattern: a whole number of courses if not mirrored.
     "boards": (9, 8), "tiles": (4, 4), "bricks": (12, 12), "veins": (3, 3),
-    "speckles": (24, 24), "weave": (16, 16), "brushed": (40, 40),
+    "speckles": (24, 24), "weave": (32, 32), "brushed": (40, 40),
     "checker": (4, 4),
 }  # fmt: skip
 _FOLDED = {
-    "grain": "uv", "boards": "u", "weave": "u", "brushed": "uv",
+    "grain": "uv", "boards": "u", "brushed": "uv",
 }  # fmt: skip
 """Axes along which a tile is mirrored."""
 _BLENDED = ("veins", "speckles")

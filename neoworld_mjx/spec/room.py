@@ -28,7 +28,7 @@ STEPS_M: dict[PatternKind, float] = {
     "bricks": 0.075,
     "veins": 0.25,
     "speckles": 0.010,
-    "weave": 0.008,
+    "weave": 0.002,
     "brushed": 0.002,
     "checker": 0.05,
 }

@@ -10,7 +10,7 @@ BOX, CONTOUR, DEPTH, MASK = "2D box", "contour", "depth", "mask"
 UNSEEN = 0.9
 """Ratio of a heading's standard deviation to that of its prior at and above which the photograph
 counts as not showing the heading."""
-_STEPS = {"parsed": "parsed cuboid", "composed": "composed", "refined": "refined"}
+_STEPS = {"parsed": "parsed", "composed": "composed", "refined": "refined"}
 
 
 def evidence_lines(

@@ -112,3 +112,26 @@ def test_a_solid_pot_lid_of_17_kg_is_an_error_and_a_shell_is_not():
         "material=steel)\n"
     )
     assert codes(shell + KNOB.format(z=0.043)) == set()
+
+
+PANEL = "body.add(box((0.01, 0.1, 0.1)), at=({x}, 0, 0.1), material={material!r})\n"
+
+
+@pytest.mark.parametrize(
+    ("x", "material", "warned"),
+    [
+        (0.195, "steel", True),  # ends at the front of the block, x = 0.2
+        (0.1955, "steel", False),  # stands out by half a millimeter
+        (0.195, "oak", False),  # of one material
+        (0.15, "steel", False),  # inside
+    ],
+)
+def test_faces_of_two_materials_in_one_plane_are_named(x: float, material: str, warned: bool):
+    text = HEAD + "body.add(box((0.4, 0.6, 0.6)), by='bottom')\n"
+    built = build(text + PANEL.format(x=x, material=material))
+    found = [signal for signal in built.signals if signal.code == "coplanar_faces"]
+    assert bool(found) == warned
+    if warned:
+        assert found[0].severity == "warning"
+        assert "body_0 (oak) and body_1 (steel)" in found[0].message
+        assert "at the front" in found[0].message

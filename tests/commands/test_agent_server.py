@@ -20,7 +20,8 @@ from PIL import Image
 pytest.importorskip("mcp")
 from mcp import Client, MCPError, StdioServerParameters
 
-from neoworld_mjx.commands.agent_tools import TOOLS, _placement
+from neoworld_mjx.commands.agent_edits import placement_of
+from neoworld_mjx.commands.agent_tools import TOOLS
 from neoworld_mjx.commands.mcp_command import (
     MAX_PICTURES_BYTES,
     McpCommand,
@@ -122,7 +123,7 @@ def built(tmp_path_factory):
                     seen["build"], pictures = await coffee.call(
                         "build", program=program, object="cup"
                     )
-                    assert len(pictures) == 2
+                    assert len(pictures) == 1  # the crop beside the object
                     seen["no build"] = await refused(
                         coffee.call("build", program=program, object="cop")
                     )
@@ -179,10 +180,10 @@ def test_a_request_has_all_that_an_agent_needs(built):
 
 def test_a_response_is_tried_before_it_is_given(built):
     _, seen = built
-    assert "cup: box 172 17 409 308; 3D box" in seen["preview"]
+    assert "cup: box 172 17 409 308; outline" in seen["preview"]
     assert "asks for no scene; build() tries programs" in seen["wrong preview"]
     assert seen["build"].startswith("builds\nsize: ")
-    assert seen["build"].endswith("crop, made")
+    assert seen["build"].endswith("compared")
     assert "did you mean 'cup'?" in seen["no build"]
     assert "the photograph is not parsed yet" in seen["early build"]
     assert "picture: got '2', valid are: 1" in seen["no zoom"]
@@ -246,7 +247,10 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
                 assert message in await refused(coffee.call("edit", **change))
             cup = folder / "coffee-scene" / "objects" / "cup"
             program = re.sub('label="[^"]*"', 'label="changed"', (cup / "program.py").read_text())
-            await coffee.call("edit", object="cup", move=[0.0, 0.003], turn_deg=3, program=program)
+            assert "no edit to take back" in await refused(coffee.call("edit", undo=True))
+            change = {"move": [0.0, 0.003], "turn_deg": 3, "program": program}
+            done, _ = await coffee.call("edit", object="cup", wait_s=300, **change)
+            assert done.startswith("cup: moved, turned, another program\n")
             while (request := await coffee.next())[0] is not None:
                 await coffee.call("submit", id=request[0], response={"verdict": "sound"})
             assert "finished" in request[1]
@@ -254,6 +258,22 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
                 (x, y + 0.003, yaw + 3), abs=2e-4
             )
             assert json.loads((cup / "spec.json").read_text())["label"] == "changed"
+            # An edit returns its result, and undo takes back one edit after the other.
+            done, _ = await coffee.call("edit", object="cup", turn_deg=5, wait_s=300)
+            before, now = (place(row.partition(": ")[2]) for row in done.splitlines()[-2:])
+            assert "finished: valid" in done and now[2] - before[2] == pytest.approx(5, abs=0.1)
+            for turn, text in ((-5, "cup: turned; 1 earlier"), (-3, "another program; 0 earlier")):
+                done, _ = await coffee.call("edit", undo=True, object="cup", wait_s=300)
+                while (request := await coffee.next())[0] is not None:
+                    await coffee.call("submit", id=request[0], response={"verdict": "sound"})
+                assert text in done.splitlines()[0]
+                back = place((await coffee.call("edit", object="cup"))[0])
+                assert back[2] - now[2] == pytest.approx(turn, abs=0.1)
+                now = back
+            # The earlier program counts as an edited one, whose size is exact.
+            assert now == pytest.approx((x, y, yaw), abs=0.1)
+            assert now[:2] == pytest.approx((x, y), abs=2e-4)
+            assert json.loads((cup / "spec.json").read_text())["label"] != "changed"
 
     asyncio.run(use())
     assert (folder / "robot" / "scene").is_dir()
@@ -373,7 +393,7 @@ def test_a_known_camera_is_told_to_the_agent_and_used_in_previews(tmp_path):
             assert "25.06" in text or "25.1" in text  # 2 atan(200 / 900)
             parse = next(e for e in coffee.tape.answers.values() if e.name == "parse").answer
             known, _ = await coffee.call("preview", response=parse)
-            assert "cup: box 172 17 409 308; 3D box" in known
+            assert "cup: box 172 17 409 308; outline" in known
         return known
 
     known = asyncio.run(use())
@@ -557,12 +577,12 @@ def test_an_edit_is_in_the_world_and_within_the_range_of_joints():
         return world_poses(SceneSpec(objects=(slab, thing)))["box"].pos
 
     scene = SceneSpec(objects=(slab, item))
-    placement = _placement(scene, "box", (0.3, -0.1), 90, {joint.name: joint.upper})
+    placement = placement_of(scene, "box", (0.3, -0.1), 90, {joint.name: joint.upper})
     assert placement is not None
     moved = item.model_copy(update={"xy": placement.xy})
     assert at(moved) - at(item) == pytest.approx([0.3, -0.1, 0.0])
     assert placement.yaw == pytest.approx(math.pi / 2)
     assert placement.joint_state == {joint.name: joint.upper}
     with pytest.raises(SpecError, match=f"joints: {joint.name}: got 9, valid is 0 to"):
-        _placement(scene, "box", (0, 0), 0, {joint.name: 9.0})
-    assert _placement(scene, "box", (0, 0), 0, {}) is None
+        placement_of(scene, "box", (0, 0), 0, {joint.name: 9.0})
+    assert placement_of(scene, "box", (0, 0), 0, {}) is None

@@ -5,8 +5,10 @@ import pytest
 
 from neoworld_mjx.estimate.fit_tree import fit_tree
 from neoworld_mjx.estimate.projection import (
+    ROUND_POINTS,
     extents_in_picture,
     hull_wireframe,
+    to_world,
     visible_box,
 )
 from neoworld_mjx.estimate.refit import refit_tree, surface_of
@@ -357,3 +359,24 @@ def test_contents_are_fitted_into_their_container(relation):
     found, carrier = (np.array(fitted.node(n).box3d.position) for n in ("inner", "right"))
     off = float(np.linalg.norm((found - carrier)[:2]))
     assert off < 0.02 if relation == "in" else off > 0.03
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 45])
+def test_a_pot_that_is_smaller_than_its_box_does_not_shrink(yaw_deg):
+    """Two handles make the box of a pot long; at 45 degrees nothing of the pot is in its corners.
+
+    The 2D box is that of a round body with two points at the ends, which are the handles.
+    """
+    pot = answers.item(
+        "pot", (0.8, 0, 0), (0.12, 0.074, 0.04), label="cooking pot", yaw_deg=yaw_deg
+    )
+    tree = answers.exact(answers.answer(pot))
+    node = tree.node("pot")
+    body = ROUND_POINTS * [0.074 / 0.12, 1, 1]
+    points = np.concatenate([body, [(-0.5, 0, 0.8), (0.5, 0, 0.8)]])
+    pixels, _ = tree.camera.project(to_world(points, node.box3d))
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    seen = answers.with_node(tree, "pot", box2d=Box2D(x0=x0, y0=y0, x1=x1, y1=y1))
+    fitted, report = fit_tree(seen)
+    assert fitted.node("pot").box3d.size == pytest.approx(node.box3d.size, rel=0.01)
+    assert report.objects["pot"].agreement_before > 0.95

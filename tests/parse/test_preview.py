@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.estimate.tree_checks import AGREEMENT_ERROR, AGREEMENT_WARNING
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.draw import COLOURS, draw_region
 from neoworld_mjx.parse.preview import number_lines, preview
@@ -31,21 +32,32 @@ def entry(shown, name):
 def test_numbers_say_which_box_is_off_and_by_how_much():
     shown = preview(answers.photo(), json.dumps(exact_answer()))
     assert shown.issues == []
-    assert entry(shown, "right")["agreement"] == 1.0
-    assert entry(shown, "right")["box"] == entry(shown, "right")["3D box"]
+    assert entry(shown, "right")["box_iou"] == 1.0
+    assert entry(shown, "right")["box"] == entry(shown, "right")["outline"]
     assert entry(shown, "can")["gap_m"] == 0.0
 
     data = exact_answer()
     data["objects"][2]["position"] |= {"y": 0.1, "z": 0.05}
     shown = preview(answers.photo(), json.dumps(data))
     right = entry(shown, "right")
-    left_px, given_px = right["3D box"][0], right["box"][0]
+    left_px, given_px = right["outline"][0], right["box"][0]
     assert given_px - left_px > 100  # 25 cm to the left, about 4 px a centimeter
     assert right["gap_m"] == 0.05
-    assert right["agreement"] < 0.5
-    assert entry(shown, "left")["agreement"] == 1.0
+    assert right["box_iou"] < 0.5
+    assert entry(shown, "left")["box_iou"] == 1.0
     text = "\n".join(number_lines(shown.objects, shown.issues))
-    assert f"right: box {' '.join(map(str, right['box']))}; 3D box" in text
+    assert f"right: box {' '.join(map(str, right['box']))}; outline" in text
+
+
+def test_the_legend_and_the_class_say_what_box_iou_counts():
+    data = exact_answer()
+    data["objects"][2] |= {"label": "pot"}
+    shown = preview(answers.photo(), json.dumps(data))
+    text = "\n".join(number_lines(shown.objects, shown.issues))
+    assert f"below {AGREEMENT_WARNING:g} is a warning, below {AGREEMENT_ERROR:g} an error" in text
+    assert entry(shown, "right")["class"].startswith("loose")
+    assert entry(shown, "can")["class"] == "round"
+    assert entry(shown, "left")["yaw_deg"] == 20
 
 
 def test_the_picture_shows_the_3d_boxes_and_the_fronts_of_the_response():
@@ -66,8 +78,8 @@ def test_a_correction_is_shown_with_what_it_keeps():
     text = json.dumps({"objects": [item], "removed": ["can"]})
     shown = preview(answers.photo(), text, request.prompt)
     assert [item["name"] for item in shown.objects] == ["table", "left", "right"]
-    assert entry(shown, "right")["agreement"] < 0.5
-    assert entry(shown, "left")["agreement"] == 1.0
+    assert entry(shown, "right")["box_iou"] < 0.5
+    assert entry(shown, "left")["box_iou"] == 1.0
 
 
 @pytest.mark.parametrize(

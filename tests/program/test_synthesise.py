@@ -8,6 +8,7 @@ from PIL import Image
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import MissingResponseError
+from neoworld_mjx.mllm import Picture
 from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
 from neoworld_mjx.program.ask import ProgramResponse, SynthesisResult
@@ -213,23 +214,34 @@ def test_the_built_object_is_rendered_in_the_frame_of_its_crop():
     corners, _ = camera.project(obj.box3d.corners())
     (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
     window = (float(x0) - 40, float(y0) - 20, float(x1) + 40, float(y1) + 20)
-    picture = views.draw_in_place(spec, obj, camera, window)
-    image = np.array(Image.open(io.BytesIO(picture.data)).convert("RGB")).astype(int)
-    scale = views.WIDTH / (window[2] - window[0])
-    assert image.shape[1] == views.WIDTH
+    crop = Picture.of("crop", np.full((round(window[3] - window[1]), 300, 3), 70, np.uint8))
+    (picture,) = views.compare(crop, spec, obj, camera, window)
+    assert picture.label == "compared"
+    image = picture.rgb.astype(int)
+    half = (image.shape[1] - views.GAP_PX) // 2
+    scale = half / (window[2] - window[0])
+    assert max(half, image.shape[0]) == views.HALF_PX
     assert image.shape[0] == round((window[3] - window[1]) * scale)
+    assert (image[:, :half] == 70).all()  # The crop fills its half.
     # The cabinet's brown reaches from edge to edge of its projected box, and not beyond.
+    image = image[:, -half:]
     brown = image[..., 0] > image[..., 2] + 15
     columns, rows = (np.flatnonzero(brown.any(axis=axis)) for axis in (0, 1))
-    assert columns[[0, -1]] == pytest.approx([40 * scale, image.shape[1] - 40 * scale], abs=4)
+    assert columns[[0, -1]] == pytest.approx([40 * scale, half - 40 * scale], abs=4)
     assert rows[[0, -1]] == pytest.approx([20 * scale, image.shape[0] - 20 * scale], abs=4)
-    # What reaches beyond the crop is shown, with the crop's frame.
-    half = (window[0], window[1], (window[0] + window[2]) / 2, window[3])
-    wider = np.array(Image.open(io.BytesIO(views.draw_in_place(spec, obj, camera, half).data)))
-    assert (wider == 255).all(axis=2).sum() > wider.shape[0]
+    # What reaches beyond the crop is shown, with the crop's frame; the crop keeps its place.
+    cut = (window[0], window[1], (window[0] + window[2]) / 2, window[3])
+    (wider,) = views.compare(crop, spec, obj, camera, cut)
+    half = (wider.size[0] - views.GAP_PX) // 2
+    left, right = wider.rgb[:, :half], wider.rgb[:, -half:]
+    assert (right == 255).all(axis=2).sum() > wider.size[1]
+    shown = np.flatnonzero((left[half // 8] == 70).all(axis=1))
+    framed = np.flatnonzero((right[half // 8] == 255).all(axis=1))
+    assert shown[-1] == pytest.approx(framed[-1], abs=2) and shown[-1] < 0.7 * half
+    assert (left[:, -1] == views.AROUND).all()
     # What would not be in the picture at all is drawn by itself.
-    apart = views.draw_in_place(spec, obj, camera, (0.0, 0.0, 10.0, 10.0))
-    assert apart.pixels == draw(spec, obj, camera).pixels
+    apart = views.compare(crop, spec, obj, camera, (0.0, 0.0, 10.0, 10.0))
+    assert apart[0] is crop and apart[1].pixels == draw(spec, obj, camera).pixels
 
 
 def test_the_best_round_wins_over_the_last():

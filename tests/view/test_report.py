@@ -311,7 +311,7 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
         return _evidence_of(finished, "jar")
 
     words = row("pixels", change={}, outlines_px=outlines, masks_iou=masks)
-    assert "2D box IoU parsed cuboid 0.90, composed 0.80, refined 0.85" in words
+    assert "2D box IoU parsed 0.90, composed 0.80, refined 0.85" in words
     assert "contour off by composed 6.1 px, aligned 0.7 px" in words
     assert (
         "depth median residual 12 mm before and 2.1 mm after, 345 pixels; puts it 19 mm above table"

@@ -1,0 +1,164 @@
+"""Edits of a finished run by an agent, and how they are taken back.
+
+An edit writes the files that a person would edit: the layout patch, or an object's program and its
+results. Their earlier texts are kept in `history/edits/NUMBER.json` of the run folder.
+"""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, StringConstraints
+
+from ..compose.layout_patch import (
+    LAYOUT_PATCH,
+    ObjectPlacement,
+    read_layout_patch,
+    write_layout_patch,
+)
+from ..config import Config
+from ..errors import RunError, SpecError, choices
+from ..io import read_model
+from ..io.files import write_inside
+from ..program.ask import written_without_model
+from ..program.sandbox import build
+from ..spec import SceneSpec, joint_keys, support_frame, world_poses
+from ..spec.pose import conjugate, pose, rotate, yaw_of
+
+FARTHEST_M = 100.0
+"""Maximum shift of an object by an edit, along each axis [m]."""
+LIMITED = ("revolute", "prismatic")
+EDITS = "history/edits"
+Changed = Literal["compose", "verify"]
+File = Annotated[
+    str,
+    StringConstraints(
+        pattern=r"^(layout\.patch\.json|objects/[^/\\]+/(program\.(py|json)|spec\.json))$"
+    ),
+]
+
+
+class _Kept(BaseModel):
+    """What an edit replaced."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    edit: str
+    step: Changed
+    files: dict[File, str | None]
+    """Earlier text of each file; None if there was none."""
+
+
+def apply_edit(
+    out: Path,
+    scene: SceneSpec,
+    name: str,
+    move: tuple[float, float],
+    turn_deg: float,
+    joints: dict[str, float],
+    program: str | None,
+    config: Config,
+) -> tuple[str, Changed] | None:
+    """Write an edit of an object into a run folder; see `AgentTools.edit`.
+
+    Returns:
+        The edit in words, and the step from which the run repeats; None if nothing changes.
+
+    Raises:
+        SpecError: a number is out of range, or the program does not build.
+    """
+    placement = placement_of(scene, name, move, turn_deg, joints)
+    files: dict[str, str] = {}
+    if program is not None:
+        built = build(program, config.program)
+        if not built.ok:
+            raise SpecError("; ".join(signal.phrase() for signal in built.signals))
+        texts = written_without_model("edit", program, built).files()
+        files = {f"objects/{name}/{file}": text for file, text in texts.items()}
+    if placement is None and not files:
+        return None
+    step: Changed = "compose" if program is None else "verify"
+    parts = ["moved"] * any(move) + ["turned"] * bool(turn_deg) + ["joints set"] * bool(joints)
+    edit = f"{name}: {', '.join(parts + ['another program'] * bool(files))}"
+    changed = [*files, *([LAYOUT_PATCH] if placement is not None else [])]
+    earlier = {
+        file: (out / file).read_text("utf-8") if (out / file).is_file() else None
+        for file in changed
+    }
+    kept = _Kept(edit=edit, step=step, files=earlier)
+    write_inside(out, f"{EDITS}/{len(_edits(out)) + 1:04d}.json", kept.model_dump_json(indent=1))
+    for file, text in files.items():
+        write_inside(out, file, text)
+    if placement is not None:
+        write_layout_patch(out, read_layout_patch(out).merged(name, placement))
+    return edit, step
+
+
+def undo_edit(out: Path) -> tuple[str, Changed]:
+    """Restore the files that the last edit replaced.
+
+    Returns:
+        What was taken back, and the step from which the run repeats.
+
+    Raises:
+        RunError: there is no edit, or its record cannot be read.
+    """
+    edits = _edits(out)
+    if not edits:
+        raise RunError("no edit to take back")
+    kept = read_model(edits[-1], _Kept, RunError, "an edit")
+    for file, text in kept.files.items():
+        if text is not None:
+            write_inside(out, file, text)
+        else:
+            (out / file).unlink(missing_ok=True)
+    edits[-1].unlink()
+    return f"taken back: {kept.edit}; {len(edits) - 1} earlier", kept.step
+
+
+def pose_in_words(scene: SceneSpec, name: str) -> str:
+    """Return the pose of an object in the world, and its joints."""
+    item, placed = scene.object(name), world_poses(scene)[name]
+    at = " ".join(f"{value:.4f}" for value in placed.pos.tolist())
+    turn = f"yaw_deg {math.degrees(yaw_of(placed.quat)):.2f}"
+    return f"{name} on {item.parent}: at {at}, {turn}, joints {json.dumps(item.joint_state)}"
+
+
+def _edits(out: Path) -> list[Path]:
+    """Return the records of edits, oldest first."""
+    paths = sorted((out / EDITS).glob("*.json"))
+    return [path for path in paths if re.fullmatch(r"\d{4}\.json", path.name)]
+
+
+def placement_of(
+    scene: SceneSpec,
+    name: str,
+    move: tuple[float, float],
+    turn_deg: float,
+    joints: dict[str, float],
+) -> ObjectPlacement | None:
+    """Return an edit of an object in its parent's frame; None if nothing changes."""
+    item, change = scene.object(name), dict[str, Any]()
+    if max(map(abs, move)) > FARTHEST_M:
+        raise SpecError(f"move: got {list(move)}, valid is up to {FARTHEST_M:g} m")
+    if any(move):
+        frame = pose()
+        if item.parent is not None:
+            parent_pose = world_poses(scene)[item.parent]
+            frame = support_frame(scene.object(item.parent), parent_pose, item.parent_link)
+        x, y, _ = rotate(conjugate(frame.quat), [*move, 0.0]).tolist()
+        change["xy"] = (item.xy[0] + x, item.xy[1] + y)
+    if turn_deg:
+        change["yaw"] = item.yaw + math.radians(turn_deg)
+    known = [key for joint in item.spec.joints for key in joint_keys(joint)]
+    ranges = {joint.name: joint for joint in item.spec.joints if joint.type in LIMITED}
+    for joint, value in joints.items():
+        if joint not in known:
+            raise SpecError(f"joints: {choices(joint, known)}")
+        if joint in ranges and not ranges[joint].lower <= value <= ranges[joint].upper:
+            valid = f"{ranges[joint].lower:g} to {ranges[joint].upper:g}"
+            raise SpecError(f"joints: {joint}: got {value:g}, valid is {valid}")
+        change.setdefault("joint_state", {})[joint] = value
+    return ObjectPlacement(**change) if change else None
