@@ -291,42 +291,6 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
     assert "<script" not in write_report(finished).read_text()
 
 
-def _evidence_of(folder, name):
-    """Return the words of an object's row."""
-    html = write_report(folder).read_text()
-    row = html.partition(f"<b>{name}</b>")[2].partition("</summary>")[0]
-    return _words(row)
-
-
-def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
-    depth = {"pixels": 345, "before_m": 0.0123, "after_m": 0.0021, "rise_m": 0.0192}
-    jar = _tree()["nodes"][0] | {"name": "jar"}
-    (finished / "tree.json").write_text(json.dumps(_tree() | {"nodes": [jar]}))
-    outlines = {"jar": {"composed": 6.14, "aligned": 0.72}}
-    masks = {"jar": {"composed": 0.8, "aligned": 0.953}}
-
-    def row(evidence, reason="", change=None, **more):
-        change = {} if change is None else {"depth": depth | {"refused": ""} | change}
-        _align(finished, {"jar": _place(evidence, reason, **change)}, **more)
-        return _evidence_of(finished, "jar")
-
-    words = row("pixels", change={}, outlines_px=outlines, masks_iou=masks)
-    assert "2D box IoU parsed cuboid 0.90, composed 0.80, refined 0.85" in words
-    assert "contour off by composed 6.1 px, aligned 0.7 px" in words
-    assert (
-        "depth median residual 12 mm before and 2.1 mm after, 345 pixels; puts it 19 mm above table"
-    ) in words
-    assert "mask IoU composed 0.80, aligned 0.95" in words
-    words = row("box", "it is see-through", {"refused": "colors contradict it"}, masks_iou={})
-    assert "contour not used: it is see-through" in words
-    assert "depth not used: colors contradict it; median residual 12 mm" in words
-    assert "above" not in words and "mask none" in words
-    assert "puts it 4 mm below table" in row("pixels", change={"rise_m": -0.0041})
-    words = row("pixels", change={"pixels": 0, "refused": "fewer than 20 pixels"})
-    assert "depth not used: fewer than 20 pixels" in words and "residual" not in words
-    assert "depth" not in row("pixels") and "mask" not in row("pixels")
-
-
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(RunError, match="not a run folder"):
         write_report(tmp_path)
