@@ -48,6 +48,7 @@ LONG = (
 )
 """Folders and files that take longest; several workers begin with them and end together."""
 QUICK = {
+    "compose": {"looks": False},
     "refine": {"cem": {"population": 24, "iterations": 2}},
     "render": {"width": 96, "supersample": 1},
 }

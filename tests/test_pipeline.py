@@ -115,19 +115,6 @@ def test_the_exported_scene_is_stable_in_mujoco(example_run):
     assert 0 < depth < 1e-3  # they touch, and no more
 
 
-def test_the_usd_scene_contains_every_object(example_run):
-    from pxr import Usd, UsdPhysics
-
-    out, _ = example_run
-    stage = Usd.Stage.Open(str(out / "scene.usda"))
-    prims = list(stage.Traverse())
-    names = {prim.GetName() for prim in prims}
-    assert names >= set(OBJECTS)
-    bodies = [p for p in prims if p.HasAPI(UsdPhysics.RigidBodyAPI)]
-    assert len(bodies) >= 3
-    assert stage.GetPrimAtPath("/").GetStage().GetDefaultPrim()
-
-
 def test_the_run_folder_contains_the_documented_files(example_run):
     out, answer = example_run
     for name in OBJECTS:
@@ -205,33 +192,10 @@ def test_refining_again_keeps_the_steps_before(composed, tmp_path, photo):
     assert (run / "scene.xml").is_file()
 
 
-def test_the_objects_that_were_aligned_again_are_in_the_result_and_a_note(
+def test_the_final_alignment_gets_what_the_run_has_and_is_in_its_result(
     example_run, tmp_path, monkeypatch
 ):
-    def again(before, refined, picture, *options, evidence, keep):
-        calls.append((before, evidence, set(keep)))
-        cup = refined.object("cup").model_copy(update={"yaw": 0.25})
-        objects = [cup if item.name == "cup" else item for item in refined.objects]
-        scene = refined.model_copy(update={"objects": tuple(objects)})
-        return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))
-
-    calls = []
-    monkeypatch.setattr(place, "align_final", again)
     run = shutil.copytree(example_run[0], tmp_path / "run")
-    small = {"render": {"width": 96, "supersample": 1}}
-    refine_again(run, None, small)
-    assert calls[0] == (read_scene(run / "compose" / "scene.json"), Evidence(), set())
-    assert read_scene(run / "scene.json").object("cup").yaw == 0.25
-    data = json.loads((run / "run.json").read_text())
-    (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
-    assert note["step"] == "refine" and note["what"] == "aligned again: cup"
-    fails = lambda composed, refined, *_, **more: FinalAlignment(refined, failure="singular")
-    monkeypatch.setattr(place, "align_final", fails)
-    assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)
-
-
-def test_the_final_alignment_gets_depth_and_masks_of_the_run(example_run, tmp_path, monkeypatch):
-    run, given = shutil.copytree(example_run[0], tmp_path / "run"), []
     scene = read_scene(run / "scene.json")
     labels = np.zeros((scene.camera.height_px, scene.camera.width), int)
     x0, y0, x1, y1 = (int(value) for value in scene.object("cup").box2d.as_tuple())
@@ -240,14 +204,28 @@ def test_the_final_alignment_gets_depth_and_masks_of_the_run(example_run, tmp_pa
     (run / "evidence").mkdir()
     for name, data in evidence_files(known).items():
         (run / "evidence" / name).write_bytes(data)
+    given = []
 
-    def again(composed, refined, *_, evidence, **more):
-        given.append(evidence)
-        return FinalAlignment(refined)
+    def again(before, refined, picture, *options, evidence, keep):
+        given.append((before, evidence, set(keep)))
+        cup = refined.object("cup").model_copy(update={"yaw": 0.25})
+        objects = [cup if item.name == "cup" else item for item in refined.objects]
+        scene = refined.model_copy(update={"objects": tuple(objects)})
+        return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))
 
     monkeypatch.setattr(place, "align_final", again)
-    refine_again(run, None, {"render": {"width": 96, "supersample": 1}})
-    assert given[0].masks.names == {"cup": 1} and (given[0].depth.values == 1).all()
+    small = {"render": {"width": 96, "supersample": 1}}
+    refine_again(run, None, small)
+    ((before, evidence, keep),) = given
+    assert before == read_scene(run / "compose" / "scene.json") and not keep
+    assert evidence.masks.names == {"cup": 1} and (evidence.depth.values == 1).all()
+    assert read_scene(run / "scene.json").object("cup").yaw == 0.25
+    data = json.loads((run / "run.json").read_text())
+    (note,) = [note for note in data["notes"] if "aligned again" in note["what"]]
+    assert note["step"] == "refine" and note["what"] == "aligned again: cup"
+    fails = lambda composed, refined, *_, **more: FinalAlignment(refined, failure="singular")
+    monkeypatch.setattr(place, "align_final", fails)
+    assert any(f["why"] == "singular" for f in refine_again(run, None, small).fallbacks)
 
 
 def test_refining_a_run_without_a_composed_scene_is_refused(tmp_path, photo, quick_config):

@@ -56,6 +56,7 @@ def test_an_engine_with_wrong_verdicts_or_that_cannot_run_has_no_rate(monkeypatc
     assert measure(crowded(3), task) == "skipped: no such device"
 
 
+@pytest.mark.slow
 def test_the_command_prints_rates_and_agreement(capfd):
     words = "bench run engines --scenes crowded:3 --population 48 --engine native --duration 0.5"
     with pytest.raises(SystemExit, match="0"):

@@ -1,21 +1,15 @@
 """Evidence made from the ground truth: its errors, and errors in the camera's frame."""
 
-import math
-
 import numpy as np
 import pytest
-from neoworld_bench.methods.layout_errors import camera_errors
 from neoworld_bench.noise.known_evidence import (
     AFFINE,
-    BESIDE,
     EXIF_SD,
     HOLES,
     known_evidence,
-    second_camera,
 )
 from scipy.ndimage import binary_dilation
 
-from neoworld_mjx.errors import SpecError
 from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.depth_image import MONOCULAR, sensor_sd
 from tests.estimate import desk
@@ -75,34 +69,3 @@ def test_a_network_has_smooth_errors_and_unknown_units(kind, drawn, edges):
     assert MONOCULAR / 4 < error[inner].mean() < MONOCULAR
     if kind == "affine":
         assert scale == pytest.approx(AFFINE[0], rel=0.3)
-
-
-def test_a_second_photograph_is_taken_aside_and_marked_with_noise():
-    second, stereo = given("second").further[0], given("stereo").further[0]
-    assert second.to_first is None and second.boxes == stereo.boxes
-    assert set(second.boxes) == {"box", "can", "brick", "ball", "tower"}
-    camera = second_camera(desk.five(), desk.CAMERA)
-    to_first = stereo.to_first
-    position = desk.CAMERA.position() + desk.CAMERA.axes() @ to_first[:3, 3]
-    assert np.allclose(position, camera.position())
-    assert math.acos((np.trace(to_first[:3, :3]) - 1) / 2) == pytest.approx(BESIDE)
-    owner = draw_scene(desk.five(), camera, camera.width).owner
-    rows, columns = np.nonzero(owner == 2)
-    exact = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-    off = np.abs(np.array(second.boxes["can"].as_tuple()) - exact)
-    assert 0 < off.max() < 10 and second.photo.shape[1] == camera.width
-
-
-def test_camera_errors_include_what_all_objects_share():
-    truth = desk.five()
-    names = [item.name for item in truth.objects if item.parent]
-    assert camera_errors(truth, truth) == pytest.approx(np.zeros(5))
-    pushed = desk.displaced(truth, **dict.fromkeys(names, (30.0, 40.0, 0.0, 0.0)))
-    assert camera_errors(pushed, truth) == pytest.approx(np.full(5, 0.05))
-    higher = desk.CAMERA.model_copy(update={"height": desk.CAMERA.height + 0.02})
-    above = truth.model_copy(update={"camera": higher})
-    assert camera_errors(above, truth) == pytest.approx(np.full(5, 0.02))
-    turned = desk.CAMERA.model_copy(update={"pitch": desk.CAMERA.pitch + 0.01})
-    assert camera_errors(truth.model_copy(update={"camera": turned}), truth).min() > 0.005
-    with pytest.raises(SpecError, match="no camera"):
-        camera_errors(truth.model_copy(update={"camera": None}), truth)

@@ -9,23 +9,17 @@ from neoworld_bench.dataset.declaration import (
 )
 from neoworld_bench.dataset.truth_scene import built, truth_scene
 from neoworld_bench.fidelity.rendered_responses import (
-    ASIDE,
-    DEPTH,
-    LOG_ASPECT,
-    LOG_SIZE,
-    YAW,
     exact_response,
 )
 from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.measures.surface_measure import geometry_measure, surface_points
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, unmatched
-from neoworld_bench.noise import joint_noise, parse_noise
+from neoworld_bench.noise import joint_noise
 from neoworld_bench.noise.initial_scenes import (
     initial_scene,
 )
 from neoworld_bench.noise.parse_noise import (
     NoiseLog,
-    with_other_supports,
 )
 from neoworld_bench.noise.program_noise import (
     wrong_program,
@@ -78,45 +72,6 @@ def test_initial_scene_without_noise_has_no_errors(desk, answer):
     for item in desk.objects:
         joint = start.object(item.name).joint_state
         assert joint == pytest.approx(item.joint_state)
-
-
-def test_wrong_field_of_view_keeps_the_layout(answer, monkeypatch):
-    monkeypatch.setattr(parse_noise, "MISJUDGED", 1.0)
-    for k in range(4):
-        tree = parse_noise.with_misjudged_view(answer, np.random.default_rng(k), NoiseLog())
-        off = np.degrees(abs(tree.camera.fovy - answer.camera.fovy))
-        assert parse_noise.LEAST_DEG <= off <= parse_noise.MOST_DEG
-        middles = [
-            [n.box3d.corners(n.base_tilt).mean(axis=0) for n in t.nodes[1:]] for t in (answer, tree)
-        ]
-        shift = np.subtract(*middles)
-        assert np.ptp(shift, axis=0) == pytest.approx(0, abs=1e-9)
-        pixels = [t.camera.project(m)[0] for t, m in zip((answer, tree), middles, strict=True)]
-        assert np.abs(np.subtract(*pixels).mean(axis=0)).max() < 0.05 * answer.camera.width
-
-
-def test_support_noise_has_the_documented_spread_and_keeps_heights():
-    tree = exact_response(see(truth_scene(declarations()["shelf_boxes"])))
-    moved = [with_other_supports(tree, tree, number) for number in range(200)]
-    assert all(answer.nodes != tree.nodes for answer in moved)
-    assert moved[3] == with_other_supports(tree, tree, 3)
-    for node in tree.nodes:
-        boxes = [answer.node(node.name).box3d for answer in moved]
-        if not node.environment:
-            assert all(box == node.box3d for box in boxes)
-            continue
-        sizes = np.log([np.divide(box.size, node.box3d.size) for box in boxes])
-        away = np.subtract([box.position for box in boxes], node.box3d.position)
-        yaws = [box.yaw - node.box3d.yaw for box in boxes]
-        assert np.hypot(LOG_SIZE, LOG_ASPECT) == pytest.approx(sizes[:, 0].std(), rel=0.2)
-        assert not away[:, 2].any()
-        if node.name == "floor":
-            assert not away.any() and not any(yaws) and not sizes[:, 2].any()
-        else:
-            reach = np.linalg.norm(np.subtract(node.box3d.position, tree.camera.position()))
-            assert np.std(yaws) == pytest.approx(YAW, rel=0.2)
-            spread = np.linalg.norm(away.std(axis=0)) / reach
-            assert spread == pytest.approx(np.hypot(DEPTH, ASIDE), rel=0.2)
 
 
 def program(name: str, **values: float | str) -> ObjectSpec:

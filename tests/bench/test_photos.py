@@ -7,6 +7,7 @@ import pytest
 from neoworld_mjx import cli
 
 
+@pytest.mark.slow
 def test_photos_command_prints_one_json_object(capfd):
     arguments = ["bench", "run", "photos", "--scenes", "8", "--no-search", "--json"]
     with pytest.raises(SystemExit, match="0"):

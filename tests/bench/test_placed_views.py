@@ -1,7 +1,5 @@
 """Recorded runs placed anew with the camera and the depth of a data set."""
 
-import shutil
-
 import numpy as np
 import pytest
 from neoworld_bench.fidelity.rendered_responses import exact_response
@@ -82,13 +80,3 @@ def test_runs_are_placed_in_meters_by_camera_and_depth(view, run):
     assert (photo.stage, depth.stage) == ("placed, photo", "placed, depth")
     alone, measured = absolute(view, photo), absolute(view, depth)
     assert max(measured.values()) < 3 < min(alone.values())
-
-
-def test_programs_are_built_where_no_object_is_stored(view, run, tmp_path):
-    other = shutil.copytree(run, tmp_path / "desk")
-    (other / "objects" / "can" / "spec.json").unlink()
-    with pytest.raises(SpecError, match=r"program\.py"):
-        next(placed_views(view, other, ("photo",), Config()))
-    (other / "objects" / "can" / "program.py").write_text("x = (")
-    with pytest.raises(SpecError, match=r"can/program\.py: .*"):
-        next(placed_views(view, other, ("photo",), Config()))

@@ -7,10 +7,8 @@ from neoworld_bench.measures.pose_measure import (
     Intrinsics,
     Similarity,
     add_s,
-    axis_box_iou,
     depth_measure,
     icp_rotation_deg,
-    layout_measure,
     measured_points,
     robust_similarity,
 )
@@ -99,25 +97,3 @@ def test_icp_rotation_is_the_angle(angle):
     own = samples(bracket(), 3000)
     turned = moved(own, transform(angle, (0.004, -0.003, 0.002)))
     assert icp_rotation_deg(turned, own) == pytest.approx(angle, abs=0.02)
-
-
-def test_box_iou_against_the_upright_one():
-    corners = np.array(trimesh.creation.box(extents=(2, 1, 1)).vertices)
-    assert axis_box_iou(corners, corners) == 1 and axis_box_iou(corners, corners + 5) == 0
-    pushed = axis_box_iou(corners, corners + [0.5, 0.25, 0.0])
-    assert pushed == pytest.approx(1.5 * 0.75 / (2 * 2 - 1.5 * 0.75))
-    assert axis_box_iou(1.1 * corners, corners) == pytest.approx(1 / 1.1**3)
-    points = samples(trimesh.creation.box(extents=(2, 1, 1)))
-    assert axis_box_iou(points, corners) == pytest.approx(1, abs=0.01)
-
-
-def test_layout_measure_of_a_pushed_object():
-    own = samples(trimesh.creation.box(extents=(0.1, 0.1, 0.1)))
-    diameter = 0.1 * np.sqrt(3)
-    perfect = layout_measure(own, own, diameter)
-    assert (perfect.add_s, perfect.correct) == (0, True)
-    assert perfect.icp_rot_deg == pytest.approx(0, abs=1e-5)
-    near, far = (layout_measure(own + [d, 0, 0], own, diameter) for d in (0.01, 0.1))
-    assert near.correct and not far.correct
-    # Half of each cube's faces slide within themselves, the other points are d away at the most.
-    assert 0 < near.add_s * diameter < 0.01 < far.add_s * diameter < 0.1

@@ -192,13 +192,6 @@ def test_crops_and_turned_photographs_are_refused_with_the_reason(tmp_path, size
         known_camera(read_camera(tmp_path / "camera.json"), size, "camera.json")
 
 
-def test_gravity_gives_pitch_and_roll_and_keeps_the_rest_unknown():
-    down = GIVEN.axes().T @ [0, 0, -9.81]
-    known, _ = known_camera(FileCamera(gravity=tuple(down)), SIZE, "gravity")
-    assert known.pitch == pytest.approx(0.6) and known.roll == pytest.approx(0.07)
-    assert known.focal is None and known.base is None and known.angle_sd > math.radians(0.1)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

@@ -64,19 +64,6 @@ def test_objects_keep_their_pixels(change):
         assert np.linalg.norm(now[name] - pixel) < tolerance
 
 
-def test_distance_follows_the_focal_length_and_sizes_stay():
-    before = tree()
-    after = with_known_camera(before, KnownCamera(size=(640, 480), focal=2 * GUESS.focal))
-    middle = [np.median([n.box3d.position for n in t.nodes[1:]], axis=0) for t in (before, after)]
-    distances = [
-        np.linalg.norm(m - t.camera.position())
-        for m, t in zip(middle, (before, after), strict=True)
-    ]
-    assert distances[1] == pytest.approx(2 * distances[0], rel=0.02)
-    for node in after.nodes[1:]:
-        assert node.box3d.size == pytest.approx((0.1, 0.1, 0.1), rel=0.05)
-
-
 def test_known_height_scales_the_scene():
     """Twice as high with the same view: everything is twice as far and as large."""
     known = KnownCamera(size=(640, 480), focal=GUESS.focal, pitch=GUESS.pitch, roll=0.0, height=1.0)

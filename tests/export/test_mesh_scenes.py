@@ -7,7 +7,6 @@ import pytest
 
 from neoworld_mjx.errors import EvidenceError, SpecError
 from neoworld_mjx.evidence.camera_files import read_camera
-from neoworld_mjx.export.formats import object_files
 from neoworld_mjx.export.importing import ImportedScene, import_file
 from neoworld_mjx.export.read_mesh_scene import (
     read_mesh_scene,
@@ -18,7 +17,7 @@ from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose
 from neoworld_mjx.spec.scene import transformed_scene
 from tests.support.bop_sample import desk
-from tests.support.mesh_scenes import object_matrices, write_glb, write_poses
+from tests.support.mesh_scenes import write_glb, write_poses
 
 
 def world_vertices(scene: SceneSpec, name: str) -> np.ndarray:
@@ -104,25 +103,6 @@ def test_broken_cameras_give_one_error(tmp_path, fields, message):
     (tmp_path / "camera.json").write_text(json.dumps(fields))
     with pytest.raises(EvidenceError, match=message):
         read_camera(tmp_path / "camera.json")
-
-
-def test_models_in_place_of_meshes(tmp_path):
-    scene = desk()
-    names = {"urdf": "block", "xml": "can"}
-    objects = {}
-    for suffix, name in names.items():
-        for path, data in object_files(scene.object(name).spec).items():
-            target = tmp_path / name / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(data.encode() if isinstance(data, str) else data)
-        pose = object_matrices(scene)[name].tolist()
-        objects[name] = {"file": f"{name}/object.{suffix}", "pose": pose}
-    (tmp_path / "poses.json").write_text(json.dumps({"objects": objects}))
-    read = import_file(tmp_path / "poses.json").spec
-    for name in names.values():
-        item = scene.object(name)
-        low = world_vertices(scene, name).min(axis=0)
-        assert np.allclose(world_vertices(read, name).min(axis=0), low, atol=1e-5), item.name
 
 
 def test_a_list_of_poses_says_what_is_fixed_and_where_models_are(tmp_path):

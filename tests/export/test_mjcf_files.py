@@ -7,10 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, export_scene, mjcf_text
+from neoworld_mjx.export import export_object, export_scene
 from neoworld_mjx.physics.mjcf import START, to_mjspec
-from neoworld_mjx.spec import Box, Cylinder, Ellipsoid, SceneObject, SceneSpec
-from tests.support import mechanisms
 
 ROBOT = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="base" pos="3 0 0">
 <geom size=".1"/><body name="tip" pos="0 0 .2"><joint name="tip" axis="0 1 0" range="-1 1"/>
@@ -81,29 +79,6 @@ def test_joints_and_handles_have_sensors(folder, cabinet):
     assert "cabinet-drawer_handle-touch" in touches
     assert "cabinet-links_handle-touch" in touches
     assert not [name for name in touches if re.search("(flap|cog)_handle", name)]  # They follow.
-
-
-def test_files_for_mjx_have_only_supported_colliders(tmp_path):
-    can = mechanisms.single("can", Cylinder(radius=0.03, height=0.1), 0.05)
-    egg = mechanisms.single("egg", Ellipsoid(radii=(0.02, 0.03, 0.04)), 0.04)
-    table = mechanisms.single("table", Box(size=(1, 1, 0.04)), 0.02)
-    items = SceneSpec(
-        objects=(
-            SceneObject(name="table", spec=table, environment=True),
-            SceneObject(name="can", spec=can, parent="table", z=0.04),
-            SceneObject(name="egg", spec=egg, parent="table", z=0.04, xy=(0.2, 0.0)),
-        )
-    )
-    model = mujoco.MjModel.from_xml_string(mjcf_text(items, target="mjx", floor=-0.01))
-    solid = model.geom_type[model.geom_contype > 0]
-    assert set(solid.tolist()) == {
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_MESH,
-        mujoco.mjtGeom.mjGEOM_PLANE,
-    }
-    assert model.geom("floor").pos[2] == -0.01
-    own = to_mjspec(items).compile()
-    assert np.allclose(model.body_mass, own.body_mass)
 
 
 def test_drives_hold_the_joint_state_and_can_be_disabled(folder, scene):

@@ -7,18 +7,15 @@ import zipfile
 import mujoco
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from neoworld_mjx.export import import_mjcf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.write_glb import visible_surface
 from neoworld_mjx.render.appearance import linear
 from neoworld_mjx.render.surface_patterns import patterned
 from neoworld_mjx.render.tiles import tile_png, tile_size
 from neoworld_mjx.spec import Box, Cylinder, Material, ObjectSpec, SurfacePattern
-from neoworld_mjx.spec.finish import finish
 from tests.support.mechanisms import geom, joint, part
 
 TILED = SurfacePattern(kind="tiles", step=0.05, rgb=(0.1, 0.1, 0.1))
@@ -121,27 +118,3 @@ def test_usd_refers_to_existing_textures(folder, file):
     assert [error.GetErrorAsString() for error in found] == []
     if file.endswith("usdz"):
         assert "textures/wall.png" in zipfile.ZipFile(folder / file).namelist()
-
-
-def test_gltf_has_textures(folder, spec):
-    shown = trimesh.load(folder / "object.glb")
-    wall = shown.geometry["thing-brick-brick"].visual
-    content = tile_png(spec.material("wall"))
-    assert content is not None
-    want = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-    got = np.asarray(wall.material.baseColorTexture.convert("RGB"))
-    assert np.array_equal(got, want) and wall.uv.shape == (36, 2)
-    assert shown.geometry["thing-cap-knob"].visual.material.baseColorTexture is None
-
-
-def test_plain_colors_and_gloss_of_textured_materials_are_read_back(folder, spec):
-    back = import_mjcf(folder / "object.xml").spec
-    for name in ("oak", "wall", "knob", "lid"):
-        own = spec.material(name)
-        near = [
-            material
-            for material in back.materials
-            if np.allclose(material.rgba, own.rgba, atol=2e-5)
-            and np.allclose(finish(material)[:2], finish(own)[:2], atol=1e-5)
-        ]
-        assert near, name

@@ -197,26 +197,3 @@ def extent(model: mujoco.MjModel) -> np.ndarray:
             local = local * model.geom_size[g]
         points.append(local @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
     return np.ptp(np.concatenate(points), axis=0)
-
-
-PLACES = {
-    "parent folder": ("p/urdf/a.urdf", "../meshes/m.stl", "p/meshes/m.stl"),
-    "package in a package": ("o/i/x/a.urdf", "package://i/meshes/m.stl", "o/i/meshes/m.stl"),
-    "escaped folder": ("p/urdf/a.urdf", "package://p/sub%20dir/m.stl", "p/sub dir/m.stl"),
-    "model of Gazebo": ("t/a.urdf", "model://t/meshes/m.stl", "t/meshes/m.stl"),
-}
-"""Place of the URDF, URI of the mesh, and place of the mesh."""
-
-
-@pytest.mark.parametrize("kind", PLACES)
-def test_meshes_are_found_and_scaled(tmp_path, kind):
-    at, uri, mesh = PLACES[kind]
-    for folder in {Path(mesh).parts[0], str(Path(mesh).parents[1])}:
-        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
-        (tmp_path / folder / "package.xml").write_text("<package/>")
-    (tmp_path / mesh).parent.mkdir(parents=True, exist_ok=True)
-    block((200, 300, 400)).export(tmp_path / mesh)
-    read = import_file(urdf(tmp_path / at, uri, scale="-.001 .001 .002"))
-    own = to_mjspec(read.scene).compile()
-    assert extent(own) == pytest.approx([0.2, 0.3, 0.8], abs=1e-4)
-    assert own.body_mass.sum() == pytest.approx(2)

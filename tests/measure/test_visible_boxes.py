@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.measure import box_iou, shown_sides, visible_box_iou
-from neoworld_mjx.measure.boxes import iou_2d
-from neoworld_mjx.spec import Box, Camera
+from neoworld_mjx.spec import Box
 from tests.support import scenes
 
 
@@ -26,13 +25,6 @@ def test_the_ground_truth_overlaps_its_photograph_and_a_moved_object_does_not(sc
     assert measured["refined"] < measured["composed"]
     assert measured["worst"] == {"name": first.name, "value": 0.0}
     assert measured["objects"][first.name]["composed"] == true[first.name]
-
-
-def test_without_a_camera_or_parsed_boxes_there_is_nothing_to_compare(scene):
-    assert visible_box_iou(scene.model_copy(update={"camera": None})) == {}
-    unparsed = tuple(o.model_copy(update={"box2d": None}) for o in scene.objects)
-    assert visible_box_iou(scene.model_copy(update={"objects": unparsed})) == {}
-    assert isinstance(scene.camera, Camera) and iou_2d((0, 0, 1, 1), (2, 2, 3, 3)) == 0.0
 
 
 def test_a_side_is_an_objects_own_without_an_occluder(scene):

@@ -136,13 +136,3 @@ def test_visual_geoms_do_not_collide():
     assert not seen.geom_contype[extra].any() and not seen.geom_conaffinity[extra].any()
     assert np.array_equal(bare.body_mass, seen.body_mass)
     assert np.array_equal(bare.body_inertia, seen.body_inertia)
-
-
-def test_the_same_scene_gives_the_same_bytes():
-    texts = []
-    for _ in range(2):
-        model = to_mjspec(scene(), visual=True)
-        model.compile()
-        texts.append(model.to_xml())
-    assert texts[0] == texts[1]
-    assert mujoco.MjModel.from_xml_string(texts[0]).nmesh == 10 + 4

@@ -14,7 +14,7 @@ from PIL import Image
 
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
-from neoworld_mjx.errors import EvidenceError, RunError, SpecError
+from neoworld_mjx.errors import EvidenceError, RunError
 from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.masks import Masks
@@ -28,8 +28,6 @@ from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import write_annotated
 from neoworld_mjx.pipeline.given_evidence import evidence_of_run
 from neoworld_mjx.spec import read_scene, world_poses
-from neoworld_mjx.spec.pose import from_yaw, pose, quat_mul
-from neoworld_mjx.spec.scene import scene_in_frame
 from tests.support import answers
 from tests.support.annotations import FOVY_DEG, HEIGHT_M, PITCH_DEG, coffee
 from tests.support.made_up_view import HEIGHT, WIDTH, depth, labels, picture
@@ -327,20 +325,3 @@ def test_run_shows_what_the_evidence_says(both_frames, tmp_path, photo, quick_co
     assert np.median(on_cup.max(axis=1)) > 200  # Not gray: its depth is measured.
     page = (tmp_path / "out" / "report.html").read_text()
     assert "calibration</td>" in page and "Rendered minus measured distance" in page
-
-
-def test_a_scene_moves_as_a_whole():
-    from tests.support.bop_sample import desk
-
-    scene = desk()
-    frame = pose((1.0, 2.0, 3.0), from_yaw(2.5))
-    moved = scene_in_frame(scene, frame)
-    for name, at in world_poses(scene).items():
-        assert np.allclose(world_poses(moved)[name].pos, frame.apply(at.pos))
-        turned = quat_mul(frame.quat, at.quat)
-        assert abs(world_poses(moved)[name].quat @ turned) == pytest.approx(1)
-    points = np.array([at.pos for at in world_poses(scene).values()])
-    before, _ = scene.camera.project(points)
-    assert np.allclose(moved.camera.project(frame.apply(points))[0], before)
-    with pytest.raises(SpecError, match="tilted frame"):
-        scene_in_frame(scene, pose((0, 0, 0), (0.9, 0.1, 0, 0)))

@@ -21,7 +21,6 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EvidenceError, PhotoError, RunError, SpecError
-from neoworld_mjx.estimate.alignment import Alignment
 from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
@@ -30,7 +29,6 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
-from neoworld_mjx.pipeline import place as place_module
 from neoworld_mjx.pipeline.input_doubts import doubt_solids, doubt_unit, scaled_scene
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import place
@@ -252,34 +250,6 @@ def test_wrong_cameras_of_a_photograph_give_one_message(
             evidence=None if camera is None else StatedEvidence(camera=str(file)),
         )
     assert not (tmp_path / "out").exists()
-
-
-def carried(size, offset=(0, 0, 0), yaw=0.0, below=0.2):
-    """A cube of some edge length on a slab of an edge length `below`, 10 cm high."""
-    slab = trimesh.creation.box(extents=(below, below, 0.1))
-    cube = trimesh.creation.box(extents=(size, size, size))
-    cube.apply_translation(offset)
-    at = np.array([0.8, 0, 0.1 + size / 2])
-    meshes = {
-        "slab": (slab, upright(np.array([0.8, 0, 0.05]), 0)),
-        "cube": (cube, upright(at, yaw)),
-    }
-    return scene_of_meshes(meshes).spec
-
-
-def test_the_alignment_gets_what_was_measured(monkeypatch):
-    got = {}
-
-    def aligned(scene, photo, options, measured=(), evidence=None):
-        got["measured"] = measured
-        return Alignment(scene)
-
-    monkeypatch.setattr(place_module, "align", aligned)
-    meshes = mesh_tree(carried(0.1), CAMERA)
-    tree = meshes.tree.model_copy(update={"camera_measured": ("pitch",)})
-    photo = np.zeros((CAMERA.height_px, CAMERA.width, 3), np.uint8)
-    place_module.place(tree, meshes.objects, place_module.Evidence(photo, boxes=False))
-    assert got == {"measured": ("pitch",)}
 
 
 def boxes(**extents_at):

@@ -71,18 +71,3 @@ def test_unknown_words_are_refused_with_the_valid_choices(line: str, words: str)
     text = HEAD + "p.add(box((0.02, 0.4, 0.4)), at=body.anchor('front'), by='back')\n" + line
     (signal,) = run(text, ProgramOptions(type_check=False)).signals
     assert signal.code == "value" and words in signal.message and signal.line == 7
-
-
-def test_moved_places_a_shape():
-    text = HEAD + (
-        "s = box((0.1, 0.2, 0.3)).moved((0, 0, 1), (0, 0, 1.5707963267948966), by='bottom')\n"
-        "print([round(v, 6) for v in s.size], round(s.volume, 9), "
-        "round(s.distance((0, 0, 1.4)), 9))\n"
-        "p.add(s, at=body.anchor('top'), by='bottom')\n"
-        "o.fixed('f', body, p)\n"
-    )
-    built = build(text)
-    assert built.ok and built.spec is not None, built.signals
-    assert built.printed.strip() == "[0.2, 0.1, 0.3] 0.006 0.1"
-    (geom,) = built.spec.part("p").geoms
-    assert geom.pos == pytest.approx((0, 0, 0.55))

@@ -119,14 +119,6 @@ def test_an_invalid_scene_is_an_error_of_the_program(change):
     assert (signal.severity, signal.code) == ("error", "value")
 
 
-def test_names_become_identifiers_and_assumed_materials_give_a_warning():
-    scene = {"shapes": [shape("../<x>", (0.1, 0.1, 0.1), materials=[])]}
-    spec, (signal,) = read(scene)
-    assert signal.code == "no_material"
-    assert spec.parts[0].name.isidentifier()
-    assert spec.materials[0].name == "plastic"
-
-
 def two(second):
     return np.vstack([CUBE, second]), np.vstack([FACES, FACES + 8]), np.zeros(24, int)
 

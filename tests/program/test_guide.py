@@ -88,7 +88,3 @@ p.add(
     out = shift[2] if lid else shift[0]
     assert (out < 0) == what.startswith("button")
     assert abs(out) > 0.01
-
-
-def test_the_table_of_joints_is_read():
-    assert len(ROWS) == 7

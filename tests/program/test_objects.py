@@ -9,10 +9,6 @@ from neoworld_mjx.program import build
 PROGRAMS = sorted((Path(__file__).parents[2] / "examples" / "objects").glob("*.py"))
 
 
-def test_there_are_programs():
-    assert PROGRAMS
-
-
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
 def test_each_program_builds_and_passes_its_checks(path):
     built = build(path.read_text(encoding="utf-8"))

@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.errors import MissingResponseError
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.program import build, stages, views
 from neoworld_mjx.program import synthesise as module
@@ -193,19 +192,6 @@ def test_a_programmer_may_correct_the_measured_box():
     assert "a factor of over 4" in kept.fallbacks[0][1]
 
 
-def test_a_critic_may_correct_the_measured_box():
-    flat = GOOD.replace("0.6, 0.6", "0.6, 0.3").replace("(0, 0, 0.3)", "(0, 0, 0.15)")
-    wrong = shape_verdict(5).model_copy(update={"box": [0.4, 0.6, 0.3]})
-    script = ScriptedModel(
-        written(GOOD), wrong, JOINTS_GOOD, written(flat), *verdict(9, accept=True)
-    )
-    outcome = synthesised(script)
-    assert "by 0.300 m (z, up)" in script.requests[3].prompt
-    assert "the given box was wrong" in script.requests[3].prompt
-    assert outcome.size == (0.4, 0.6, 0.3)
-    assert outcome.text.strip() == flat.strip()
-
-
 def test_the_built_object_is_rendered_in_the_frame_of_its_crop():
     spec = synthesised(ScriptedModel(written(GOOD), *verdict(9, accept=True))).spec
     assert spec is not None
@@ -251,11 +237,6 @@ def test_the_best_round_wins_over_the_last():
     assert outcome.text.strip() == GOOD.strip()
     assert "too thin" in script.requests[3].prompt
     assert [attempt.stage for attempt in outcome.rounds] == ["program", "revise"]
-
-
-def test_a_missing_response_on_a_tape_is_an_error():
-    with pytest.raises(MissingResponseError):
-        synthesised(ScriptedModel(written(GOOD), MissingResponseError("no answer"), JOINTS_GOOD))
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ import pytest
 
 from neoworld_mjx.spec import Box, JointSpec, Mimic, ObjectSpec, PartSpec, Shape, scale
 from neoworld_mjx.spec.base import Length, Number, ScalableSpec
-from neoworld_mjx.spec.dimensions import LENGTH, UNSCALED, Motion
+from neoworld_mjx.spec.dimensions import UNSCALED, Motion
 from neoworld_mjx.spec.object import AuthoredInertia
-from neoworld_mjx.spec.primitives import BaseShape, Point2
+from neoworld_mjx.spec.primitives import BaseShape
 from neoworld_mjx.spec.scale import joint_exponents, mimic_exponents
 from tests.support import scenes
 from tests.support.sample_shapes import SHAPES
@@ -23,23 +23,6 @@ def test_a_field_without_a_scaling_is_refused_when_its_class_is_defined():
     with pytest.raises(TypeError, match=r"Bad\.pair mixes numbers that scale differently"):
         pair = tuple[Length, Annotated[float, UNSCALED]]
         type("Bad", (BaseShape,), {"__annotations__": {"pair": pair}})
-
-
-def test_a_new_shape_scales_by_its_annotations_alone():
-    class Wedge(BaseShape):
-        height: Length
-        outline: tuple[Point2, ...]
-        turns: Annotated[int, UNSCALED]
-        label: str
-
-    wedge = Wedge(height=0.2, outline=((1.0, 2.0),), turns=3, label="x").scaled(2.0)
-    assert wedge == Wedge(height=0.4, outline=((2.0, 4.0),), turns=3, label="x")
-    assert Wedge.scalings == {
-        "height": LENGTH,
-        "outline": LENGTH,
-        "turns": UNSCALED,
-        "label": None,
-    }
 
 
 def test_the_samples_have_every_shape():
