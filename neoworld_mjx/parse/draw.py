@@ -201,7 +201,7 @@ def stamp(
 
 
 def draw_region(
-    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 1200
+    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 900
 ) -> Picture:
     """Enlarge a region of a picture, with rulers whose numbers are pixels of the whole picture.
 
