@@ -115,7 +115,7 @@ def undo_edit(out: Path) -> tuple[str, Changed]:
         else:
             (out / file).unlink(missing_ok=True)
     edits[-1].unlink()
-    return f"taken back: {kept.edit}; {len(edits) - 1} earlier", kept.step
+    return f"taken back: {kept.edit}; earlier edits: {len(edits) - 1}", kept.step
 
 
 def pose_in_words(scene: SceneSpec, name: str) -> str:

@@ -118,7 +118,10 @@ class AgentTools:
             raise SpecError(f"picture: {choices(str(picture), valid)}")
         if not all(math.isfinite(value) for value in box):
             raise SpecError("box: all four numbers must be finite")
-        return [request.id, draw_region(request.pictures[picture - 1], box)]
+        region = draw_region(request.pictures[picture - 1], box)
+        factor = region.size[0] / max(abs(box[2] - box[0]), 1)
+        hint = "" if factor > 1.5 else ": as it is; name a smaller region to enlarge it"
+        return [f"{request.id}{hint}", region]
 
     def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
         """Draw the 3D boxes of a response to a request for a scene, and check its numbers.

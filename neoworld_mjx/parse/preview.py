@@ -72,11 +72,11 @@ def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None
 
 
 LEGEND = (
-    "box_iou: intersection over union of `box` and `outline`, the box of what the 3D box shows of "
-    f"such an object, as in run.json; below {AGREEMENT_WARNING:g} is a warning, below "
+    "box_iou: intersection over union of `box` and `outline`, the box of the object's outline in "
+    f"its 3D box, as in run.json; below {AGREEMENT_WARNING:g} is a warning, below "
     f"{AGREEMENT_ERROR:g} an error. The arrow on each base points to the front (yaw_deg)."
 )
-LOOSE = "loose (fills its 3D box anyhow: box_iou says little, compare the pictures)"
+LOOSE = "loose (its shape in the 3D box is unknown, so box_iou is high: look at the picture)"
 """Class of an outline whose sides lie anywhere between the middles of faces and the 3D box."""
 
 

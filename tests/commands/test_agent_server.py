@@ -262,7 +262,10 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             done, _ = await coffee.call("edit", object="cup", turn_deg=5, wait_s=300)
             before, now = (place(row.partition(": ")[2]) for row in done.splitlines()[-2:])
             assert "finished: valid" in done and now[2] - before[2] == pytest.approx(5, abs=0.1)
-            for turn, text in ((-5, "cup: turned; 1 earlier"), (-3, "another program; 0 earlier")):
+            for turn, text in (
+                (-5, "cup: turned; earlier edits: 1"),
+                (-3, "another program; earlier edits: 0"),
+            ):
                 done, _ = await coffee.call("edit", undo=True, object="cup", wait_s=300)
                 while (request := await coffee.next())[0] is not None:
                     await coffee.call("submit", id=request[0], response={"verdict": "sound"})
