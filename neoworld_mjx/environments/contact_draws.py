@@ -5,7 +5,7 @@ layout that satisfies them, in the metric of the covariance: what the photograph
 way, and camera and objects still agree about the pixels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.optimize import nnls
 from ..estimate.contacts import ContactGaps, SceneGeoms, contacts
 from ..estimate.standing import Standing
 from ..estimate.unknowns import CAMERA, EACH, Unknowns
+from ..physics.layout import Layout
 from ..physics.model import CompiledScene
 from ..physics.photo_view import default_camera
 from ..physics.posterior import Draws, pose_factor
@@ -27,6 +28,9 @@ FIT_M = 0.0005
 """Overlap up to which a draw satisfies its contacts [m]."""
 SOFT_M = 0.0003
 """Overlap that is as unlikely as a change by one standard deviation [m]."""
+WALL_M = 0.05
+"""Assumed standard deviation of the place of a wall [m]. The estimate has none. Without it, an
+object at a wall would stop all others, since an uncertain camera moves them together."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +43,31 @@ class SceneContacts:
         """Return draws whose objects do not overlap, and stay over their supports.
 
         Each draw moves by the smallest number of standard deviations. Overlaps that objects of
-        fixed sizes and places cause remain. Openings do not move.
+        fixed sizes and places cause remain. Openings do not move, and walls give way.
         """
-        normals = [
-            self.nearest(*draw)
-            for draw in zip(draws.normals, draws.variation.joint_shift, strict=True)
-        ]
-        return Draws.of(np.array(normals), self.factor, draws.variation)
+        count = draws.normals.shape[1]
+        moved = np.array(
+            [
+                self.nearest(np.append(normals, np.zeros(2 * len(self.walls))), shift)
+                for normals, shift in zip(draws.normals, draws.variation.joint_shift, strict=True)
+            ]
+        )
+        kept = Draws.of(moved[:, :count], self.factor, draws.variation)
+        xy = np.array(kept.layouts.xy)
+        xy[:, self.walls] = WALL_M * moved[:, count:].reshape(len(moved), -1, 2)
+        return kept._replace(layouts=Layout(xy, kept.layouts.yaw, kept.layouts.log_scale))
+
+    @cached_property
+    def walls(self) -> list[int]:
+        """Indices of the fixed supports on which nothing stands."""
+        items = self.scene.spec.objects
+        carry = {item.parent for item in items if item.relation != "attached"}
+        return [k for k, o in enumerate(items) if o.parent is None and o.name not in carry]
+
+    @cached_property
+    def on_wall(self) -> Float[np.ndarray, "wall object"]:
+        """1 for each wall, and for the objects that are attached to it; otherwise 0."""
+        return np.asarray(self.unknowns.arrangement.ancestors)[:, self.walls].T
 
     @cached_property
     def unknowns(self) -> Unknowns:
@@ -90,28 +112,43 @@ class SceneContacts:
     @cached_property
     def at_scene(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n normal"]]:
         """Gaps of the scene itself, and their derivatives."""
-        return self.linearized(
-            np.zeros(self.factor.shape[1]), np.zeros(len(self.scene.static.joints))
-        )
+        joints = np.zeros(len(self.scene.static.joints))
+        return self.linearized(np.zeros(self.factor.shape[1] + 2 * len(self.walls)), joints)
 
     def linearized(
-        self, normals: Float[np.ndarray, " normal"], shift: Float[np.ndarray, " joint"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n normal"]]:
-        """Return the gaps of a draw [m], and their derivatives."""
-        u = self.unknowns
-        x = self.to_unknowns @ normals
+        self, values: Float[np.ndarray, " v"], shift: Float[np.ndarray, " joint"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n v"]]:
+        """Return the gaps of a draw [m], and their derivatives.
+
+        Args:
+            values: normal numbers, followed by the shifts x and y of each wall, in WALL_M.
+            shift: changes of the joints' positions.
+        """
+        u, count = self.unknowns, self.factor.shape[1]
+        x = self.to_unknowns @ values[:count]
         x[u.first_joint :] = shift[self.openings]
-        now = u.place(x[None])[0]
+        moved = np.zeros((len(u.object_of), 3))
+        moved[:, :2] = WALL_M * (self.on_wall.T @ values[count:].reshape(-1, 2))[u.object_of]
+        now, *neighbors = (
+            replace(place, pos=place.pos + moved) for place in [*u.place(x[None]), *u.neighbors(x)]
+        )
         gaps = [
             *contacts(self.colliders, u, now, REACH_M),
             *self.standing.insets(u, now),
         ]
-        rows = ContactGaps.of(gaps, u, now, u.neighbors(x))
-        return rows.gap, rows.jacobian[:, : u.size] @ self.to_unknowns
+        rows = ContactGaps.of(gaps, u, now, neighbors)
+        by_wall = np.zeros((len(gaps), len(self.walls), 2))
+        for row, gap in zip(by_wall, gaps, strict=True):
+            for point in gap.points:
+                row += (
+                    WALL_M * point.share * np.outer(self.on_wall[:, point.object], gap.normal[:2])
+                )
+        by_normals = rows.jacobian[:, : u.size] @ self.to_unknowns
+        return rows.gap, np.concatenate([by_normals, by_wall.reshape(len(gaps), -1)], axis=1)
 
     def nearest(
-        self, drawn: Float[np.ndarray, " normal"], shift: Float[np.ndarray, " joint"]
-    ) -> Float[np.ndarray, " normal"]:
+        self, drawn: Float[np.ndarray, " v"], shift: Float[np.ndarray, " joint"]
+    ) -> Float[np.ndarray, " v"]:
         """Return the nearest draw with contacts, on a path from the scene, which has them."""
         now, (gap, jacobian) = np.zeros_like(drawn), self.at_scene
         for step in range(STEPS):

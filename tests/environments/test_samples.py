@@ -255,6 +255,23 @@ def test_draws_keep_apart_and_over_their_supports():
     np.testing.assert_allclose(shift[:, 1], -shift[:, 2], atol=2e-3)
 
 
+def test_a_wall_gives_way():
+    """A block 10 mm in front of a wall is drawn behind it; another block does not stop there."""
+    given = known(along=0.04)
+    scene = two(given, given, correlated(0.95))
+    wall = scenes.single("wall", (Box(size=(0.1, 0.3, 1.0)), (0, 0, 0)))
+    behind = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.09, 0.25))
+    scene = scene.model_copy(update={"objects": (*scene.objects, behind)})
+    samples = nw.sample(scene, 12, options=OPTIONS, redraws=0, max_px=np.inf)
+    assert samples.stands.all()
+    ahead, pushed = samples.layouts.xy[:, 1:3, 0], samples.layouts.xy[:, 3, 0]
+    assert ahead.max() > 0.04 and pushed.min() > -1e-9 and pushed.max() > 0.02
+    assert not samples.layouts.xy[pushed == 0, 3].any()
+    assert np.abs(ahead[:, 1]).std() > 0.015
+    k = int(pushed.argmax())
+    assert samples.scene(k).object("wall").xy[0] == pytest.approx(1.09 + pushed[k], abs=1e-6)
+
+
 def test_a_draw_that_leaves_its_pixels_is_refused():
     scene = two(known(across=0.03), known())
     samples = nw.sample(scene, 12, options=OPTIONS, redraws=0)
