@@ -1,5 +1,7 @@
 """Commands `check` and `template`, for objects and scenes."""
 
+import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from .base_command import Command, CommandResult, ConfiguredCommand
 from .result_lines import object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
-    from ..config import Config
+    from ..config import Config, RefineOptions
     from ..spec import SceneSpec
 
 
@@ -34,10 +36,14 @@ class CheckCommand(ConfiguredCommand):
     program."""
     out: Path | None = None
     """With --repair: output folder for the repaired object, in every format."""
+    samples: int = 0
+    """Number of scenes that the photograph allows, in which an aligned scene is also checked."""
 
     def run(self) -> CommandResult:
         """Check the scene or the object."""
         config = self.load_config()
+        if self.samples < 0:
+            raise SpecError(f"--samples {self.samples}: name a positive number of draws")
         notes: list[str] = []
         scene: SceneSpec | None = None
         from ..export.importing import (
@@ -62,6 +68,8 @@ class CheckCommand(ConfiguredCommand):
         elif imported is not None or suffix == ".py":
             from ..verify.checking import check_object
 
+            if self.samples:
+                raise SpecError(f"{self.target} is an object: --samples needs an aligned scene")
             return check_object(
                 target,
                 config,
@@ -106,6 +114,21 @@ class CheckCommand(ConfiguredCommand):
             "passed": all(check.passed for check in checks),
             "checks": [check.to_json() for check in checks],
             **measure.model_dump(),
+            **({"samples": self._samples(spec, options)} if self.samples else {}),
+        }
+
+    def _samples(self, scene: "SceneSpec", options: "RefineOptions") -> CommandResult:
+        """Count in how many of the scenes that the photograph allows every object rests."""
+        from ..environments.samples import sample
+
+        if all(item.uncertainty is None for item in scene.objects):
+            raise SpecError(f"{self.target} was not aligned: --samples needs an aligned scene")
+        draws = sample(scene, self.samples, options=options, max_px=math.inf, redraws=0)
+        failing = Counter(reason for reason in draws.reasons if reason)
+        return {
+            "draws": len(draws),
+            "stand": int(draws.stands.sum()),
+            "failing": dict(failing.most_common()),
         }
 
     def lines(self, result: CommandResult) -> list[str]:

@@ -40,7 +40,12 @@ def scene_check_lines(result: CommandResult) -> list[str]:
     from ..run_folder import verdict_line
 
     notes = [f"note: {note}" for note in result.get("notes", ())[:MAX_REASONS]]
-    return [verdict_line(result), f"scene: {result['target']}", *notes, DETAILS]
+    drawn = []
+    if (samples := result.get("samples")) is not None:
+        failing = [f"{reason} in {k}" for reason, k in samples["failing"].items()]
+        stand = f"samples: stands in {samples['stand']} of {samples['draws']}"
+        drawn = ["; ".join([stand, *failing[:MAX_REASONS]])]
+    return [verdict_line(result), *drawn, f"scene: {result['target']}", *notes, DETAILS]
 
 
 def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[str]:

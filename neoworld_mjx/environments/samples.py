@@ -7,21 +7,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from ..config import RefineOptions
 from ..errors import RunError, SpecError
+from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
-from ..measure import SceneMeasure, rest_and_measure, scene_checks
+from ..measure import SceneMeasure, passes, rest_and_measure, resting, scene_checks
 from ..physics.layout import Layout, Poses, Variation
 from ..physics.model import SceneModel, compile_scene
-from ..physics.posterior import PhysicalPrior, draw
+from ..physics.placed import pair_gaps
+from ..physics.posterior import Draws, PhysicalPrior, draw, draw_again
 from ..render import visible_surface
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
 from ..spec.pose import matrix
+from .contact_draws import SceneContacts
 
 PIXEL_WIDTH = 640
 """Width of the image in which displacements are measured [px]."""
@@ -31,6 +36,10 @@ fitted outline from the outline in the photograph."""
 MAX_SHARE = 0.05
 """Additional displacement, relative to the diagonal of the box: the estimate allows a program to be
 wrong in its proportions by a few percent, so sizes vary as much."""
+REDRAWS = 4
+"""Number of times that a refused draw is drawn again."""
+TOUCH_M = 0.005
+"""Gap up to which two objects touch [m]; refused objects are drawn again with those they touch."""
 VERBS = {
     "max_depth_m": "overlaps",
     "settled_depth_m": "overlaps",
@@ -47,8 +56,8 @@ VERBS = {
 class SceneSamples:
     """Draws about a scene, settled, and which of them stand and agree with the photograph.
 
-    The draws come from the posterior of the estimate, and draws that do not stand or that the
-    pixels exclude are refused, so all that are kept have the same weight.
+    The draws come from the posterior of the estimate. Draws that do not stand or that the pixels
+    exclude are drawn again, and refused in the end, so all that are kept have the same weight.
     """
 
     model: SceneModel
@@ -67,6 +76,8 @@ class SceneSamples:
     reasons: tuple[str, ...]
     """Why each draw is refused, such as "cup tips"; empty if it is kept."""
     seed: int
+    refused: tuple[str, ...] = ()
+    """Reasons of the draws that were refused and drawn again."""
 
     @property
     def kept(self) -> Int[np.ndarray, " kept"]:
@@ -87,12 +98,12 @@ class SceneSamples:
         return f"SceneSamples of {self.model.spec.name!r}: {self.phrase()}"
 
     def phrase(self) -> str:
-        """Return one line, such as "stands in 63 of 64; kept 62; refused: cup tips (1), ..."."""
-        counts = Counter(reason for reason in self.reasons if reason)
+        """Return one line, such as "stands in 64 of 64; kept 63; refused: cup tips (1)"."""
         line = f"stands in {int(self.stands.sum())} of {len(self)}"
-        if counts:
-            refused = ", ".join(f"{reason} ({k})" for reason, k in counts.most_common())
-            line += f"; kept {len(self.kept)}; refused: {refused}"
+        if counts := Counter(reason for reason in self.reasons if reason):
+            line += f"; kept {len(self.kept)}; refused: {_counted(counts)}"
+        if self.refused:
+            line += f"; refused and drawn again: {_counted(Counter(self.refused), 3)}"
         return line
 
     def scene(self, k: int) -> SceneSpec:
@@ -142,12 +153,14 @@ def sample(
     options: RefineOptions | None = None,
     prior: PhysicalPrior | None = None,
     max_px: float = MAX_PX,
+    redraws: int = REDRAWS,
 ) -> SceneSamples:
     """Draw scenes that a photograph allows.
 
     Poses, sizes, openings and the camera are drawn from the estimate about the scene, with its
-    correlations; densities, frictions and losses of joints are drawn from priors. Every draw is
-    placed on its supports, settled and checked like a refined scene, all in one batch of C MuJoCo.
+    correlations and contacts; densities, frictions and losses of joints are drawn from priors.
+    Every draw is placed on its supports, settled and checked like a refined scene, all in one batch
+    of C MuJoCo. The objects that are the reason of a refusal are drawn again.
 
     Args:
         scene: the scene, a scene.json or a run folder.
@@ -157,6 +170,8 @@ def sample(
         prior: priors of what no picture shows.
         max_px: a draw is refused if a side of an object's 2D box moved by more than this and 5 % of
             the diagonal of the box, in an image 640 pixels wide.
+        redraws: number of times that a refused draw is drawn again. Only the objects that are the
+            reason, and those that touch them, are drawn again.
 
     Raises:
         SpecError: there is no scene, or `n` is not positive.
@@ -166,26 +181,96 @@ def sample(
         raise SpecError(f"sample: n is {n}, not a positive number of draws")
     spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
     o = options or RefineOptions()
-    model = compile_scene(spec, timestep=0.002)
-    draws = draw(model, np.random.default_rng(seed), n, prior)
-    layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), draws.layouts)
-    placed = model.place_exactly(layouts)
-    start = Poses(placed.pos, placed.quat, placed.scale, placed.height, draws.variation)
+    model, rng = compile_scene(spec, timestep=0.002), np.random.default_rng(seed)
+    contacts, touching = SceneContacts(model), _touching(model)
+    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px)
+    all_draws, refused = settled(draw(model, rng, n, prior)), list[str]()
+    for _ in range(redraws):
+        rows = np.flatnonzero(all_draws.at_fault.any(axis=1))
+        if not len(rows):
+            break
+        refused += [all_draws.reasons[k] for k in rows]
+        chosen = all_draws.at_fault[rows] @ touching
+        drawn = jax.tree.map(lambda leaf, rows=rows: leaf[rows], all_draws.drawn)
+        all_draws = all_draws.replaced(rows, settled(draw_again(model, drawn, chosen, rng, prior)))
+    d = all_draws
+    measures = tuple(d.measures)
+    stands = np.array([passes(measure, o) for measure in measures])
+    return SceneSamples(
+        model, d.layouts, d.poses, tuple(d.cameras), measures, stands, d.shift_px,
+        tuple(d.reasons), seed, tuple(refused),
+    )  # fmt: skip
+
+
+class _Settled(NamedTuple):
+    """Draws after settling."""
+
+    drawn: Draws
+    """The draws before contacts."""
+    layouts: Layout
+    poses: Poses
+    cameras: list[Camera | None]
+    measures: list[SceneMeasure]
+    shift_px: Float[np.ndarray, "n object"]
+    at_fault: Bool[np.ndarray, "n object"]
+    """True for objects that fail a check, or leave their pixels."""
+    reasons: list[str]
+
+    def replaced(self, rows: Int[np.ndarray, " m"], others: "_Settled") -> "_Settled":
+        """Return the draws with others in some rows."""
+        index = np.arange(len(self.reasons))
+        index[rows] = len(index) + np.arange(len(rows))
+
+        def merged(own: Any, other: Any) -> Any:
+            if isinstance(own, list):
+                both = [*own, *other]
+                return [both[k] for k in index]
+            return jax.tree.map(lambda *leaves: np.concatenate(leaves)[index], own, other)
+
+        return _Settled(*(merged(*pair) for pair in zip(self, others, strict=True)))
+
+
+def _settled(
+    model: SceneModel, contacts: SceneContacts, drawn: Draws, o: RefineOptions, max_px: float
+) -> _Settled:
+    """Settle and check draws, from where contacts place them."""
+    placed = contacts.kept(drawn)
+    layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), placed.layouts)
+    start = model.place_exactly(layouts)
+    start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
     poses, measures = rest_and_measure(model, start, o, stop_early=True)
-    cameras = tuple(_moved_camera(spec, change) for change in draws.camera)
+    cameras = [_moved_camera(contacts.unknowns, change) for change in placed.camera]
     shift, diagonal = _box_shifts(model, poses, cameras)
     excess = shift - max_px - MAX_SHARE * diagonal
-    stands = np.array([all(c.passed for c in scene_checks(m, o)) for m in measures])
-    reasons = tuple(
-        _reason(spec, measure, o) or _pixel_reason(model.names, row)
+    rests = np.array([resting(model.spec, measure, o) for measure in measures])
+    diverged = np.array([measure.diverged for measure in measures])
+    at_fault = ~rests | (excess > 0) | diverged[:, None]
+    reasons = [
+        _reason(measure, o) or _pixel_reason(model.names, row)
         for measure, row in zip(measures, excess, strict=True)
-    )
-    return SceneSamples(
-        model, layouts, poses, cameras, tuple(measures), stands, shift, reasons, seed
-    )
+    ]
+    return _Settled(drawn, layouts, poses, cameras, measures, shift, at_fault, reasons)
 
 
-def _reason(scene: SceneSpec, measure: SceneMeasure, o: RefineOptions) -> str:
+def _touching(model: SceneModel) -> Bool[np.ndarray, "object object"]:
+    """Return which objects are in one group: they touch, stand on each other, or others link them.
+
+    Fixed supports link nothing.
+    """
+    fixed = np.array([item.environment for item in model.spec.objects])
+    near = np.asarray(pair_gaps(model, model.poses()))[0] < TOUCH_M
+    near[fixed] = near[:, fixed] = False
+    _, group = connected_components(near, directed=False)
+    return group[:, None] == group
+
+
+def _counted(counts: Counter[str], most: int | None = None) -> str:
+    shown = [f"{reason} ({k})" for reason, k in counts.most_common(most)]
+    left = sum(counts.values()) - sum(k for _, k in counts.most_common(most))
+    return ", ".join([*shown, f"others ({left})"] if left else shown)
+
+
+def _reason(measure: SceneMeasure, o: RefineOptions) -> str:
     """Return the first failed check of a draw as "object verb"; empty if it passes all checks."""
     if measure.diverged:
         return "the simulation diverges"
@@ -200,27 +285,18 @@ def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) ->
     return f"{names[worst]} leaves its pixels" if excess[worst] > 0 else ""
 
 
-def _moved_camera(scene: SceneSpec, change: Float[np.ndarray, " 4"]) -> Camera | None:
+def _moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
     """Return the camera of a draw; see `posterior.Draws.camera`.
 
-    As in the alignment, a change of the focal length also moves the camera along its view, so that
-    the middle of the scene keeps its size in the image.
+    A change of the focal length also moves the camera along its view, so that the middle of the
+    scene keeps its size in the image. The alignment moves the scene instead of the camera.
     """
-    c = scene.camera
+    c = unknowns.scene.camera
     if c is None:
         return None
-    depths = [item.depth for item in scene.objects if item.depth is not None and item.parent]
-    pitch, roll, log_focal, log_height = change.tolist()
-    back = (float(np.median(depths)) if depths else 1.0) * math.expm1(log_focal)
-    behind = back * math.cos(c.pitch)
-    update = {
-        "pitch": min(max(c.pitch + pitch, -math.pi / 2), math.pi / 2),
-        "roll": c.roll + roll,
-        "fovy": 2 * math.atan(math.tan(c.fovy / 2) * math.exp(-log_focal)),
-        "height": c.height * math.exp(log_height) + back * math.sin(c.pitch),
-        "xy": (c.xy[0] - behind * math.cos(c.yaw), c.xy[1] - behind * math.sin(c.yaw)),
-    }
-    return c.model_copy(update=update)
+    moved, ahead = unknowns.camera_at(change)
+    xy = (c.xy[0] - ahead * math.cos(c.yaw), c.xy[1] - ahead * math.sin(c.yaw))
+    return moved.model_copy(update={"xy": xy})
 
 
 def _box_shifts(

@@ -178,24 +178,29 @@ class SceneGeoms:
         m.geom_rbound[self.geom] = scale * self.radius
         m.mesh_vert[:] = self.vertex * np.append(place.scale, 1.0)[self.vertex_owner, None]
 
-    def near(self, counts: Bool[np.ndarray, "object object"]) -> Int[np.ndarray, "pair 2"]:
-        """Return the pairs of geoms whose bounding spheres are less than REACH_M apart.
+    def near(
+        self, counts: Bool[np.ndarray, "object object"], reach: float
+    ) -> Int[np.ndarray, "pair 2"]:
+        """Return the pairs of geoms whose bounding spheres are less than `reach` [m] apart.
 
         Pairs are indices into `geom`.
 
         Args:
             counts: mask of the pairs of objects whose contacts are used.
+            reach: distance [m].
         """
         m, pos = self.model, self.data.geom_xpos[self.geom]
         # The bounding radius of a plane is zero.
         radius = np.where(self.radius > 0, m.geom_rbound[self.geom], np.inf)
         first, second = np.nonzero(np.triu(counts[self.owner[:, None], self.owner], 1))
         apart = np.linalg.norm(pos[first] - pos[second], axis=1)
-        rows = apart - radius[first] - radius[second] < REACH_M
+        rows = apart - radius[first] - radius[second] < reach
         return np.stack([first[rows], second[rows]], axis=1)
 
 
-def contacts(colliders: SceneGeoms, unknowns: Unknowns, now: Placement) -> Iterator[Gap]:
+def contacts(
+    colliders: SceneGeoms, unknowns: Unknowns, now: Placement, reach: float = REACH_M
+) -> Iterator[Gap]:
     """Yield the smallest gaps between each pair of objects in a placement.
 
     Gaps with steep normals are omitted, see `STEEPEST`.
@@ -204,16 +209,17 @@ def contacts(colliders: SceneGeoms, unknowns: Unknowns, now: Placement) -> Itera
         colliders: the scene's collision geoms.
         unknowns: the unknowns.
         now: the placement.
+        reach: largest gap between two geoms that counts as a contact [m].
     """
     colliders.place(now)
     found: dict[tuple[int, int], list[Gap]] = {}
-    for a, b in colliders.near(_counts(unknowns)).tolist():
+    for a, b in colliders.near(_counts(unknowns), reach).tolist():
         ends = np.zeros(6)
         geoms = int(colliders.geom[a]), int(colliders.geom[b])
-        gap = geom_distance(colliders.model, colliders.data, *geoms, REACH_M, ends)
+        gap = geom_distance(colliders.model, colliders.data, *geoms, reach, ends)
         line = ends[3:] - ends[:3]
         length = float(np.linalg.norm(line))
-        if gap >= REACH_M or length <= LEAST_LINE_M or abs(line[2]) >= STEEPEST * length:
+        if gap >= reach or length <= LEAST_LINE_M or abs(line[2]) >= STEEPEST * length:
             continue
         pair = int(colliders.owner[a]), int(colliders.owner[b])
         points = tuple(

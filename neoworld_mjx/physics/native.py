@@ -118,6 +118,8 @@ def open_batch(
         for name, values in fields.items():
             batch.expand(name)[:] = values.reshape(batch.expand(name).shape)
         batch.set_const()
+    if sleeps:  # static bodies always sleep: a reset puts those of each candidate in their places
+        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     batch.bind("qpos")[:] = qpos
     return batch
 

@@ -45,7 +45,7 @@ class PhotoView(NamedTuple):
 
 def photo_view(spec: SceneSpec) -> PhotoView:
     """Collect the photograph's boxes and depths; compute missing ones from the composed scene."""
-    camera = spec.camera or _default_camera(spec)
+    camera = spec.camera or default_camera(spec)
     half = np.tile([camera.width / 2, camera.height_px / 2], 2)
     center = np.tile(camera.center, 2)
     poses = world_poses(spec)
@@ -134,6 +134,7 @@ def see_through(spec: ObjectSpec) -> bool:
     )
 
 
-def _default_camera(scene: SceneSpec) -> Camera:
+def default_camera(scene: SceneSpec) -> Camera:
+    """Return a camera that shows a scene without one, from above the origin."""
     far = max(float(np.abs(pose.pos).max()) for pose in world_poses(scene).values())
     return Camera(width=600, height_px=400, fovy=0.8, height=1.0 + far, pitch=0.6)

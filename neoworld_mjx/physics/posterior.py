@@ -7,13 +7,17 @@ and correlations (`SceneSpec.correlation`). Quantities that no picture shows hav
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..spec import SceneSpec, joint_value
 from ..spec.correlation import EACH, PoseCorrelation
 from .layout import Layout, Variation
 from .model import BALL, CompiledScene
 from .photo_view import photo_deviations
+
+RANK = 1e-3
+"""Singular value below which values determine nothing of the normal numbers; correlations are
+stored with four decimals."""
 
 
 class PhysicalPrior(NamedTuple):
@@ -43,6 +47,21 @@ class Draws(NamedTuple):
     camera: Float[np.ndarray, "pop 4"]
     """Changes of the camera's pitch and roll [rad], and of the logarithms of its focal length and
     height."""
+    normals: Float[np.ndarray, "pop normal"]
+    """Standard normal numbers, from which `pose_factor` makes layouts and camera."""
+
+    @classmethod
+    def of(
+        cls,
+        normals: Float[np.ndarray, "pop normal"],
+        factor: Float[np.ndarray, "value normal"],
+        variation: Variation,
+    ) -> "Draws":
+        """Return draws, given standard normal numbers and the matrix of `pose_factor`."""
+        values = normals @ factor.T
+        each = values[:, EACH:].reshape(len(values), -1, EACH)
+        layouts = Layout(each[..., :2], each[..., 2], each[..., 3])
+        return cls(layouts, variation, values[:, :EACH], normals)
 
 
 def pose_factor(scene: SceneSpec) -> Float[np.ndarray, "value normal"]:
@@ -87,22 +106,55 @@ def draw(
     """
     spec, static, p = scene.spec, scene.static, prior or PhysicalPrior()
     count, joints = len(static.names), len(static.joints)
-    values = rng.standard_normal((n, EACH * (1 + count))) @ pose_factor(spec).T
-    each = values[:, EACH:].reshape(n, count, EACH)
+    normals = rng.standard_normal((n, EACH * (1 + count)))
     factors = lambda deviation, size: np.exp(deviation * rng.standard_normal((n, size)))
     deviation, low, high = openings(scene)
     shift = np.clip(deviation * rng.standard_normal((n, joints)), low, high)
-    return Draws(
-        Layout(each[..., :2], each[..., 2], each[..., 3]),
-        Variation(
-            factors(p.density, count),
-            factors(p.friction, count),
-            factors(p.joint_friction, joints),
-            factors(p.joint_damping, joints),
-            shift,
-        ),
-        values[:, :EACH],
+    variation = Variation(
+        factors(p.density, count),
+        factors(p.friction, count),
+        factors(p.joint_friction, joints),
+        factors(p.joint_damping, joints),
+        shift,
     )
+    return Draws.of(normals, pose_factor(spec), variation)
+
+
+def draw_again(
+    scene: CompiledScene,
+    draws: Draws,
+    objects: Bool[np.ndarray, "pop object"],
+    rng: np.random.Generator,
+    prior: PhysicalPrior | None = None,
+) -> Draws:
+    """Draw some objects of each draw again, given its camera and its other objects.
+
+    Args:
+        scene: the compiled scene.
+        draws: the draws, from `draw`.
+        objects: mask of the objects that are drawn again.
+        rng: random numbers.
+        prior: as for `draw`.
+    """
+    fresh, factor = draw(scene, rng, len(objects), prior), pose_factor(scene.spec)
+    normals = fresh.normals
+    length = np.linalg.norm(factor, axis=1, keepdims=True)
+    unit = factor / np.where(length > 0, length, 1.0)
+    for k, chosen in enumerate(objects):
+        given = unit[np.repeat(np.append(True, ~chosen), EACH)]
+        _, size, axes = np.linalg.svd(given, full_matrices=False)
+        axes = axes[size > RANK]  # all combinations of normals that the given values depend on
+        normals[k] += axes.T @ (axes @ (draws.normals[k] - normals[k]))
+    old, new = draws.variation, fresh.variation
+    joints = objects[:, np.asarray(scene.static.joint_object, int)]
+    variation = Variation(
+        np.where(objects, new.mass, old.mass),
+        np.where(objects, new.friction, old.friction),
+        np.where(joints, new.joint_friction, old.joint_friction),
+        np.where(joints, new.joint_damping, old.joint_damping),
+        np.where(joints, new.joint_shift, old.joint_shift),
+    )
+    return Draws.of(normals, factor, variation)
 
 
 def openings(scene: CompiledScene) -> Float[np.ndarray, "3 joint"]:

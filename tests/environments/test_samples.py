@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 
 import neoworld_mjx as nw
+from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.commands.sample_command import SampleCommand
 from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.environments.contact_draws import SceneContacts
 from neoworld_mjx.environments.samples import SceneSamples
 from neoworld_mjx.errors import EngineError, RunError, SpecError
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.model_fields import model_fields
-from neoworld_mjx.physics.posterior import PhysicalPrior, draw
+from neoworld_mjx.physics.posterior import PhysicalPrior, draw, draw_again
 from neoworld_mjx.physics.rest import rest
 from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
@@ -174,23 +176,105 @@ def test_the_same_seed_draws_the_same(samples, tmp_path):
     np.testing.assert_array_equal(stored["pos"], samples.poses.pos)
 
 
+def bridge():
+    """A plank on two blocks; it falls if the second block moves away from under it."""
+    scene = two(known(), known(across=0.08))
+    plank = scenes.SceneObject(
+        name="plank", spec=block("plank", (0.04, 0.26, 0.01)), parent="one", xy=(0.0, -0.1), z=0.06
+    )
+    return scene.model_copy(update={"objects": (*scene.objects, plank), "camera": None})
+
+
 def test_a_draw_that_falls_is_refused_with_the_reason():
-    """A block at the edge of a table falls off it in some draws."""
-    scene = two(known(), known(across=0.05))
-    table, one, other = scene.objects
-    edge = other.model_copy(update={"xy": (0.0, -0.37)})
-    scene = scene.model_copy(update={"objects": (table, one, edge), "camera": None})
-    samples = nw.sample(scene, 16, options=OPTIONS)
+    samples = nw.sample(bridge(), 16, options=OPTIONS, redraws=0)
     assert 2 < samples.stands.sum() < 16
     assert (samples.weights[~samples.stands] == 0).all()
     refused = {reason for reason in samples.reasons if reason}
-    assert refused and all(reason.startswith("two ") for reason in refused)
+    assert refused and all(reason.startswith("plank ") for reason in refused)
     assert f"stands in {samples.stands.sum()} of 16" in repr(samples)
+
+
+def test_what_falls_is_drawn_again_and_the_rest_stays():
+    """The group that is drawn again is the plank and what it touches; the can stands apart."""
+    scene = bridge()
+    can = scene.object("one").model_copy(
+        update={"name": "can", "xy": (0.15, 0.3), "uncertainty": known(0.01)}
+    )
+    scene = scene.model_copy(update={"objects": (*scene.objects, can)})
+    once = nw.sample(scene, 12, options=OPTIONS, redraws=0)
+    again = nw.sample(scene, 12, options=OPTIONS)
+    assert len(once.kept) < len(again.kept) and again.refused[0].startswith("plank ")
+    assert "refused and drawn again: plank" in again.phrase()
+    first = [reason for reason in once.reasons if reason]
+    assert list(again.refused[: len(first)]) == first
+    np.testing.assert_array_equal(again.layouts.xy[:, 4], once.layouts.xy[:, 4])
+    moved = (again.layouts.xy[:, 2] != once.layouts.xy[:, 2]).any(axis=1)
+    assert moved.tolist() == [bool(reason) for reason in once.reasons]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_an_object_is_drawn_again_given_the_others(rho):
+    given = known(along=0.02, across=0.002)
+    scene = compile_for_simulation(two(given, given, correlated(rho)))
+    rng = np.random.default_rng(0)
+    first = draw(scene, rng, 3000)
+    chosen = np.tile([False, False, True], (3000, 1))
+    second = draw_again(scene, first, chosen, rng)
+    np.testing.assert_allclose(second.layouts.xy[:, 1], first.layouts.xy[:, 1], atol=1e-12)
+    np.testing.assert_array_equal(second.variation.mass[:, 1], first.variation.mass[:, 1])
+    assert (second.variation.mass[:, 2] != first.variation.mass[:, 2]).all()
+    x = [d.layouts.xy[:, k, 0] for d, k in ((first, 1), (first, 2), (second, 2))]
+    found = np.corrcoef(x)
+    assert found[0, 1] == pytest.approx(rho, abs=0.05) and found[0, 2] == pytest.approx(
+        rho, abs=0.05
+    )
+    assert found[1, 2] == pytest.approx(rho**2, abs=0.05)
+
+
+def test_draws_keep_apart_and_over_their_supports():
+    """Neighbors 10 mm apart do not overlap, and a block at the edge of the table stays on it."""
+    apart = known(across=0.02, along=0.001)
+    scene = two(apart, apart)
+    table, one, other = scene.objects
+    one, other = (
+        item.model_copy(update={"xy": (0.0, y)}) for item, y in ((one, 0.035), (other, -0.035))
+    )
+    edge = one.model_copy(update={"name": "edge", "xy": (0.2, 0.38)})
+    scene = compile_for_simulation(scene.model_copy(update={"objects": (table, one, other, edge)}))
+    drawn = draw(scene, np.random.default_rng(0), 64)
+    kept = SceneContacts(scene).kept(drawn)
+    y = lambda draws: draws.layouts.xy[..., 1] + [0.0, 0.035, -0.035, 0.38]
+    gap = lambda draws: y(draws)[:, 1] - y(draws)[:, 2] - 0.06
+    assert (gap(drawn) < -0.005).sum() > 8 and gap(kept).min() > -0.001
+    assert y(drawn)[:, 3].max() > 0.41 and y(kept)[:, 3].max() < 0.395
+    free = (gap(drawn) > 0.002) & (y(drawn)[:, 3] < 0.38)
+    assert free.sum() > 10
+    np.testing.assert_array_equal(kept.normals[free], drawn.normals[free])
+    # The nearest: both neighbors give way by the same amount.
+    shift = (y(kept) - y(drawn))[gap(drawn) < -0.005]
+    np.testing.assert_allclose(shift[:, 1], -shift[:, 2], atol=2e-3)
+
+
+def test_a_wall_gives_way():
+    """A block 10 mm in front of a wall is drawn behind it; another block does not stop there."""
+    given = known(along=0.04)
+    scene = two(given, given, correlated(0.95))
+    wall = scenes.single("wall", (Box(size=(0.1, 0.3, 1.0)), (0, 0, 0)))
+    behind = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.09, 0.25))
+    scene = scene.model_copy(update={"objects": (*scene.objects, behind)})
+    samples = nw.sample(scene, 12, options=OPTIONS, redraws=0, max_px=np.inf)
+    assert samples.stands.all()
+    ahead, pushed = samples.layouts.xy[:, 1:3, 0], samples.layouts.xy[:, 3, 0]
+    assert ahead.max() > 0.04 and pushed.min() > -1e-9 and pushed.max() > 0.02
+    assert not samples.layouts.xy[pushed == 0, 3].any()
+    assert np.abs(ahead[:, 1]).std() > 0.015
+    k = int(pushed.argmax())
+    assert samples.scene(k).object("wall").xy[0] == pytest.approx(1.09 + pushed[k], abs=1e-6)
 
 
 def test_a_draw_that_leaves_its_pixels_is_refused():
     scene = two(known(across=0.03), known())
-    samples = nw.sample(scene, 12, options=OPTIONS)
+    samples = nw.sample(scene, 12, options=OPTIONS, redraws=0)
     assert samples.stands.all() and 0 < len(samples.kept) < 12
     refused = np.setdiff1d(np.arange(12), samples.kept)
     assert {samples.reasons[k] for k in refused} == {"one leaves its pixels"}
@@ -208,6 +292,17 @@ def test_each_draw_has_its_camera_if_the_camera_is_uncertain():
     assert np.std([c.pitch for c in cameras]) == pytest.approx(0.02, rel=0.4)
     assert np.std([np.log(c.focal) for c in cameras]) == pytest.approx(0.05, rel=0.4)
     assert {c.roll for c in cameras} == {0.0}
+
+
+def test_a_focal_length_moves_the_camera_by_the_depth_of_the_aligned_scene():
+    """The parsed depths of the objects are three times too large."""
+    scene = two(known(), known())
+    objects = [item.model_copy(update={"depth": 3.6}) for item in scene.objects]
+    correlation = correlated(0.0).model_copy(update={"camera": (0.0, 0.0, 0.1, 0.0)})
+    update = {"objects": tuple(objects), "correlation": correlation}
+    samples = nw.sample(scene.model_copy(update=update), 12, options=OPTIONS, redraws=0)
+    assert np.std([np.log(c.focal) for c in samples.cameras]) > 0.05
+    assert samples.shift_px.max() < 4.0
 
 
 def test_bad_input_gets_one_line(samples):
@@ -258,3 +353,20 @@ def test_the_command_writes_draws_and_scenes(tmp_path):
     bare = scenes.blocks().to_json()
     (tmp_path / "scene.json").write_text(bare, encoding="utf-8")
     assert "not aligned" in SampleCommand(target=tmp_path, n=1).run()["note"]
+
+
+def test_a_check_counts_the_draws_in_which_the_scene_stands(tmp_path):
+    (tmp_path / "scene.json").write_text(bridge().to_json(), encoding="utf-8")
+    command = CheckCommand(target=tmp_path / "scene.json", samples=16)
+    result = command.run()
+    assert result["passed"]
+    drawn = result["samples"]
+    assert drawn["draws"] == 16 and 2 < drawn["stand"] < 16
+    assert sum(drawn["failing"].values()) == 16 - drawn["stand"]
+    (line,) = (line for line in command.lines(result) if line.startswith("samples:"))
+    assert line.startswith(f"samples: stands in {drawn['stand']} of 16; plank ")
+    (tmp_path / "scene.json").write_text(scenes.blocks().to_json(), encoding="utf-8")
+    with pytest.raises(SpecError, match="was not aligned"):
+        command.run()
+    with pytest.raises(SpecError, match="name a positive number"):
+        CheckCommand(target=tmp_path, samples=-1).run()

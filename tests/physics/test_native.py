@@ -8,6 +8,7 @@ from neoworld_mjx.physics import model, native
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
+from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
 
@@ -65,3 +66,30 @@ def test_overwritten_models_equal_fresh_copies(monkeypatch):
     fresh = NativeEngine().rollout(other, other.place(second), duration=0.1)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(fresh), strict=True):
         assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("sleeps", [True, False])
+@pytest.mark.parametrize("meshes", [True, False])
+@pytest.mark.parametrize("fixed", [True, False])
+def test_an_object_stands_at_the_height_of_a_support_of_another_size(sleeps, meshes, fixed):
+    """Fixed bodies sleep from the start, so MuJoCo would leave their geoms where they were."""
+    boards = [(Box(size=(0.3, 0.3, 0.02)), (0.0, 0.0, z)) for z in (0.01, 0.41)]
+    posts = [
+        (Box(size=(0.02, 0.02, 0.4)), (x, y, 0.21)) for x in (-0.14, 0.14) for y in (-0.14, 0.14)
+    ]
+    shelf, cube = scenes.single("shelf", *boards, *posts), scenes.single("cube", *boards[:1])
+    world = scenes.on_table((shelf, (0.0, 0.0), 0.0, {"fixed_base": fixed}))
+    top = scenes.SceneObject(name="cube", spec=cube, parent="shelf", z=0.4201)
+    if meshes:
+        extra = scenes.SceneObject(name="cup", spec=scenes.cup(), parent="table", xy=(0.0, 0.3))
+        world = world.model_copy(update={"objects": (*world.objects, extra)})
+    scene = compile_scene(world.model_copy(update={"objects": (*world.objects, top)}))
+    assert native.has_meshes(scene) == meshes
+    k = [scene.names.index(name) for name in ("shelf", "cube")]
+    layouts = jax.tree.map(np.array, Layout.zero(3, len(scene.names)))
+    layouts.log_scale[:, k[0]] = -0.05, 0.0, 0.05
+    start = scene.place(layouts)
+    rollout = NativeEngine().rollout(
+        scene, start, duration=0.5, early_stop=EarlyStop(after=0.4) if sleeps else None
+    )
+    np.testing.assert_allclose(rollout.pos[:, -1, k], start.pos[:, k], atol=1e-3)
