@@ -196,8 +196,6 @@ def _solution(
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
     x = problem.start()
-    if problem.evidence.depth is not None and problem.evidence.depth.kind == "metric":
-        problem = replace(problem, mean=x.copy())
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:

@@ -87,8 +87,6 @@ class AlignmentProblem:
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
-    mean: Float[np.ndarray, " u"] | None = None
-    """Mean of the prior; None if it is the composed scene."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
@@ -217,14 +215,8 @@ class AlignmentProblem:
             depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
         equations = NormalEquations(
             unknowns,
-            prior_precision(
-                unknowns,
-                now,
-                x if self.mean is None else x - self.mean,
-                self.camera_deviations(),
-            ),
+            prior_precision(unknowns, now, x, self.camera_deviations()),
             x,
-            mean=self.mean,
             global_count=0 if depth is None else depth.global_count,
         )
         if self.edges is not None:
