@@ -6,13 +6,13 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from mujoco import mjx
 
-from ..physics.gripper import PREFIX, Gripper
+from ..physics.gripper import Gripper
 from ..physics.mjx_model import MjxModel, make_data, mjx_step, put_compiled, with_fields
 from ..spec import SceneSpec
+from .arm import scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 
 Observation = dict[str, Array]
@@ -65,7 +65,7 @@ class MjxEnv:
     def reset(self, key: Array) -> EnvState:
         """Start an episode, with noise that depends on a random key. JAX can trace this method."""
         qpos, pos, quat = self.controlled.reset_state(key, self._noise)
-        hold = self.controlled.controls(self.controlled.hold_action, jnp)
+        hold = jnp.asarray(self.controlled.initial_ctrl, jnp.float32)
         data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
         info = {"step": jnp.zeros((), jnp.int32)}
         if self._noise.photo and len(self.controlled.fixed):
@@ -77,7 +77,8 @@ class MjxEnv:
 
         JAX can trace this method.
         """
-        data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
+        ctrl = self.controlled.controls(action, scene_state(state.data), jnp)
+        data = state.data.replace(ctrl=ctrl)
         model = self._model(state.info)
         data = mjx_step(model, data, self.n_substeps)
         # Body poses in the data lag one time step behind qpos.
@@ -90,26 +91,10 @@ class MjxEnv:
         return with_fields(self.mjx_model, fields) if fields else self.mjx_model
 
     def _state(self, data: mjx.Data, info: dict[str, Array]) -> EnvState:
-        obs = self._observe(data)
+        obs = self.controlled.observe(scene_state(data), jnp)
         done = jnp.any(~jnp.isfinite(data.qpos)).astype(jnp.float32)
         reward = jnp.zeros(()) if self._reward is None else jnp.asarray(self._reward(obs))
         return EnvState(data, obs, reward, done, {}, info)
-
-    def _observe(self, data: mjx.Data) -> Observation:
-        scene = self.controlled
-        result = {
-            "poses": jnp.concatenate([data.xpos[scene.bodies], data.xquat[scene.bodies]], axis=1),
-            "joints": data.qpos[scene.qpos_of_joints],
-            "joint_velocities": data.qvel[scene.dof_of_joints],
-        }
-        if scene.gripper is not None:
-            hand = scene.model.body(f"{PREFIX}-hand").id
-            fingers = np.array(
-                [scene.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in ("left", "right")]
-            )
-            wide = jnp.sum(data.qpos[fingers])[None]
-            result["gripper"] = jnp.concatenate([data.xpos[hand], data.xquat[hand], wide])
-        return result
 
 
 def mjx_env(
