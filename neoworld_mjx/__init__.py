@@ -11,8 +11,11 @@ from .engines import share_gpu_memory
 if TYPE_CHECKING:
     from . import measure
     from .environments.controlled_scene import ResetNoise as ResetNoise
+    from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.robots import Mount as Mount
+    from .environments.robots import Robot as Robot
     from .environments.samples import sample as sample
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
@@ -55,11 +58,14 @@ _LOCATIONS = {
     "KnownSize": "evidence.known_objects",
     "Layout": "physics.layout",
     "Masks": "evidence.masks",
+    "Mount": "environments.robots",
     "Problem": "search.algorithm",
     "ResetNoise": "environments.controlled_scene",
+    "Robot": "environments.robots",
     "SceneModel": "physics.model",
     "Term": "search.rewards",
     "ablate": "sweeps.run",
+    "controlled_scene": "environments.controlled_scene",
     "gym_env": "environments.gym_environment",
     "load_scene": "physics.model",
     "mjx_batch": "physics.mjx_model",
@@ -90,12 +96,15 @@ __all__ = [
     "KnownSize",
     "Layout",
     "Masks",
+    "Mount",
     "Problem",
     "ResetNoise",
+    "Robot",
     "SceneModel",
     "Term",
     "ablate",
     "algorithm",
+    "controlled_scene",
     "gym_env",
     "load_scene",
     "measure",

@@ -20,6 +20,7 @@ from ..engines import ENGINES
 from ..errors import EngineError, choices
 from ..physics.mjx_model import make_data, mjx_step, put_compiled, with_fields
 from ..physics.warp_engine import warp_device
+from .arm import scene_state
 from .controlled_scene import ControlledScene
 
 Fields = Mapping[str, Array]
@@ -235,8 +236,11 @@ def capacity(controlled: ControlledScene) -> tuple[int, int]:
     for _ in range(PROBE_ACTIONS):
         mujoco.mj_resetData(model, data)
         data.qpos[:] = controlled.initial_qpos
+        data.ctrl[:] = controlled.initial_ctrl
+        mujoco.mj_forward(model, data)
         for _ in range(PROBE_STEPS // 20):
-            data.ctrl[:] = controlled.controls(rng.uniform(low, high).astype(np.float32))
+            action = rng.uniform(low, high).astype(np.float32)
+            data.ctrl[:] = controlled.controls(action, scene_state(data))
             mujoco.mj_step(model, data, 20)
             contacts, constraints = max(contacts, data.ncon), max(constraints, data.nefc)
     pool = 2 * contacts + 32

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError
-from ..physics.gripper import PREFIX, Gripper
+from ..physics.gripper import Gripper
 from ..render import render_scene
 from ..spec import SceneSpec
 from ..spec.pose import conjugate, from_yaw, quat_mul, yaw_of
+from .arm import scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 
 try:
@@ -64,14 +65,10 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self._horizon, self._steps = horizon, 0
         low, high = controlled.action_bounds
         self.action_space = spaces.Box(low, high, dtype=np.float32)
-        count = len(controlled.joints)
+        start = scene_state(self.data)
         space: dict[str, spaces.Space[Any]] = {
-            "poses": _unbounded(len(controlled.names), 7),
-            "joints": _unbounded(count),
-            "joint_velocities": _unbounded(count),
+            name: _unbounded(*value.shape) for name, value in controlled.observe(start).items()
         }
-        if controlled.gripper is not None:
-            space["gripper"] = _unbounded(8)
         if picture is not None:
             space["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
         # The declared type of Gymnasium is invariant.
@@ -89,14 +86,15 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
             start, pos, quat = self.controlled.reset_state(key, self._noise)
             self.model.body_pos[:], self.model.body_quat[:] = pos, quat
         self.data.qpos[:] = start
-        self.data.ctrl[:] = self.controlled.controls(self.controlled.hold_action)
+        self.data.ctrl[:] = self.controlled.initial_ctrl
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}
 
     def step(self, action: NDArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply an action, clipped to its bounds, for one control interval."""
-        self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32))
+        state = scene_state(self.data)
+        self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32), state)
         mujoco.mj_step(self.model, self.data, self._substeps)
         self._steps += 1
         # If the state is not finite, MuJoCo resets it and counts a warning.
@@ -137,18 +135,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return self.data.qpos[self.controlled.qpos_of_joints]
 
     def _observe(self) -> Observation:
-        scene = self.controlled
-        bodies = scene.bodies
-        poses = np.concatenate([self.data.xpos[bodies], self.data.xquat[bodies]], axis=1)
-        result = {
-            "poses": poses.astype(np.float32),
-            "joints": self._joints().astype(np.float32),
-            "joint_velocities": self.data.qvel[scene.dof_of_joints].astype(np.float32),
-        }
-        if scene.gripper is not None:
-            hand = self.data.body(f"{PREFIX}-hand")
-            fingers = [float(self.data.joint(f"{PREFIX}-{s}").qpos[0]) for s in ("left", "right")]
-            result["gripper"] = np.array([*hand.xpos, *hand.xquat, sum(fingers)], np.float32)
+        result = self.controlled.observe(scene_state(self.data))
         if self._picture is not None:
             result["picture"] = self.render()
         return result

@@ -11,23 +11,19 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import SpecError
-from ..physics.gripper import PREFIX, Gripper
+from ..physics.gripper import Gripper
 from ..spec import SceneSpec
+from .arm import Control
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 from .engines import WorldState, choose_engine, initial_world, open_steps
 from .randomization import Variants
+from .robots import Mount, Robot
 
 Observation = dict[str, Array]
-"""Observations by name:
-
-- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
-- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
-- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m].
-"""
+"""Observations by name; see `ControlledScene.observe`."""
 Reward = Callable[..., Float[Array, ""]]
 """Function of the observation, or of (observation, action, state, previous state)."""
 WORLDS = 4096
@@ -95,8 +91,7 @@ class MjxEnv:
             qpos, pos, quat = self.controlled.reset_state(key, self._noise)
             if self._noise.photo and len(self.controlled.fixed):
                 info |= {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
-        hold = self.controlled.controls(self.controlled.hold_action, jnp)
-        start = initial_world(self.controlled.model, qpos, hold)
+        start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
         world = self.steps.step(self._fields(info), start, start.ctrl, 0)
         action = jnp.zeros(self.action_size)
         return self._state(world, world, action, info)
@@ -106,7 +101,7 @@ class MjxEnv:
 
         JAX can trace this method.
         """
-        ctrl = self.controlled.controls(action, jnp)
+        ctrl = self.controlled.controls(action, state.data, jnp)
         world = self.steps.step(self._fields(state.info), state.data, ctrl, self.n_substeps)
         info = state.info | {"step": state.info["step"] + 1}
         return self._state(world, state.data, action, info)
@@ -121,30 +116,13 @@ class MjxEnv:
     def _state(
         self, world: WorldState, previous: WorldState, action: Array, info: dict[str, Array]
     ) -> EnvState:
-        obs = self.observe(world)
+        obs = self.controlled.observe(world, jnp)
         finite = jnp.all(jnp.isfinite(world.qpos)) & jnp.all(jnp.isfinite(world.qvel))
         reward = jnp.zeros(())
         if self._reward is not None:
             reward = jnp.asarray(self._reward(obs, action, world, previous), jnp.float32)
         done = 1.0 - finite.astype(jnp.float32)
         return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, {}, info)
-
-    def observe(self, world: WorldState) -> Observation:
-        """Return the observation of a state."""
-        scene = self.controlled
-        result = {
-            "poses": jnp.concatenate([world.xpos[scene.bodies], world.xquat[scene.bodies]], axis=1),
-            "joints": world.qpos[scene.qpos_of_joints],
-            "joint_velocities": world.qvel[scene.dof_of_joints],
-        }
-        if scene.gripper is not None:
-            hand = scene.model.body(f"{PREFIX}-hand").id
-            fingers = np.array(
-                [scene.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in ("left", "right")]
-            )
-            wide = jnp.sum(world.qpos[fingers])[None]
-            result["gripper"] = jnp.concatenate([world.xpos[hand], world.xquat[hand], wide])
-        return result
 
 
 def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, Any], Any]:
@@ -173,6 +151,9 @@ def mjx_env(
     run: Path | str | SceneSpec,
     *,
     gripper: Gripper | str | None = None,
+    robot: Robot | Path | str | None = None,
+    mount: Mount | None = None,
+    control: Control = "tool",
     drive_joints: bool | None = None,
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
@@ -187,8 +168,11 @@ def mjx_env(
         run: the folder, file or scene.
         gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
             that the gripper faces. If None, there is no gripper.
+        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
+        mount: pose of the robot's base.
+        control: what an action of the robot moves; see `Arm.controls`.
         drive_joints: if True, actions include targets of the joints. If None, they do so only if
-            there is no gripper.
+            there is no gripper or robot.
         reward: function that JAX can trace, of the observation, or of (observation, action, state,
             previous state); if None, the reward is 0.
         noise: noise that each reset adds to the scene; if None, no noise.
@@ -204,7 +188,13 @@ def mjx_env(
     """
     name = engine or choose_engine()
     controlled = controlled_scene(
-        run, gripper=gripper, drive_joints=drive_joints, mjx=name == "mjx"
+        run,
+        gripper=gripper,
+        robot=robot,
+        mount=mount,
+        control=control,
+        drive_joints=drive_joints,
+        mjx=name == "mjx",
     )
     return MjxEnv(
         controlled,

