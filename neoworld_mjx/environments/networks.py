@@ -33,7 +33,8 @@ class Normalizer(NamedTuple):
         count = self.count + len(obs)
         from_old = obs - self.mean
         mean = self.mean + from_old.sum(axis=0) / count
-        return Normalizer(count, mean, self.squares + (from_old * (obs - mean)).sum(axis=0))
+        added = (from_old * (obs - mean)).sum(axis=0)  # rounding may make it negative
+        return Normalizer(count, mean, jnp.maximum(self.squares + added, 0.0))
 
 
 class Layer(NamedTuple):
