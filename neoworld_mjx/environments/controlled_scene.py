@@ -239,6 +239,12 @@ class ControlledScene:
         hand = self.model.body(f"{PREFIX}-hand").id
         return state.xpos[hand], state.xquat[hand]
 
+    def opening(self, state: SceneState, xp: Any = np) -> Any:
+        """Return how far the fingers of the gripper or robot are open, from 0 to 1."""
+        if self.arm is not None:
+            return self.arm.opening(state, xp)
+        return xp.sum(state.qpos[self.qpos_of_fingers]) / OPENING_M
+
     def observe(self, state: SceneState, xp: Any = np) -> dict[str, Any]:
         """Return the observations of a state, in float32.
 

@@ -27,7 +27,6 @@ from neoworld_bench.tasks.model_plans import (
     refine_by_outcome,
     scene_of_method,
 )
-from neoworld_bench.tasks.predicates import JointBetween, Leaning, named_objects
 from neoworld_bench.tasks.success_runs import SuccessRow, planned_there, run_successes
 from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 from neoworld_bench.tasks.world import World
@@ -35,6 +34,7 @@ from pydantic import ValidationError
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import CEMOptions, ComposeOptions, MLLMOptions, RefineOptions
+from neoworld_mjx.environments.predicates import JointBetween, Leaning, named_objects
 from neoworld_mjx.errors import ConfigError, MissingResponseError, SpecError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.replay import Replay, Tape

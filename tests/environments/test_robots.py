@@ -95,6 +95,7 @@ def test_controls_and_observations_are_traced_by_jax(controlled, data):
 
 def test_joint_targets(data):
     controlled = controlled_scene(scenes.furnished(), robot=ARM, mount=MOUNT, control="joints")
+    assert controlled.arm is not None
     target = controlled.hold_action + np.array([0.2, 0.1, 0, 0, 0, 0], np.float32)
     act(controlled, data, target, 60)
     assert data.qpos[controlled.arm.qpos] == pytest.approx(target[:5], abs=0.01)
