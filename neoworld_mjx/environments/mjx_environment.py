@@ -82,19 +82,24 @@ class MjxEnv:
 
         JAX can trace this method.
         """
-        info = {"step": jnp.zeros((), jnp.int32)}
         if self._variants is not None:
-            row = jax.random.randint(key, (), 0, len(self._variants.qpos))
-            qpos = jnp.asarray(self._variants.qpos)[row]
-            info |= {"sample": row}
-        else:
-            qpos, pos, quat = self.controlled.reset_state(key, self._noise)
-            if self._noise.photo and len(self.controlled.fixed):
-                info |= {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
+            return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
+        qpos, pos, quat = self.controlled.reset_state(key, self._noise)
+        moved = self._noise.photo and len(self.controlled.fixed)
+        fields = {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
+        return self._start(qpos, fields if moved else {})
+
+    def reset_to(self, row: Array) -> EnvState:
+        """Start an episode in one of the variants. JAX can trace this method."""
+        if self._variants is None:
+            raise SpecError("the environment has no variants")
+        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row})
+
+    def _start(self, qpos: Array, own: dict[str, Array]) -> EnvState:
+        info = {"step": jnp.zeros((), jnp.int32), **own}
         start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
         world = self.steps.step(self._fields(info), start, start.ctrl, 0)
-        action = jnp.zeros(self.action_size)
-        return self._state(world, world, action, info)
+        return self._state(world, world, jnp.zeros(self.action_size), info)
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:
         """Apply an action, clipped to its bounds, for one control interval.
@@ -132,19 +137,19 @@ def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, 
         SpecError: the function takes neither one nor four arguments.
     """
     try:
-        parameters = inspect.signature(reward).parameters.values()
-    except (TypeError, ValueError):
+        signature = inspect.signature(reward)
+    except (TypeError, ValueError):  # a built-in function
         return lambda obs, action, state, previous: reward(obs)
-    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    needed = sum(p.kind in kinds and p.default is p.empty for p in parameters)
-    if any(p.kind is p.VAR_POSITIONAL for p in parameters) or needed == 4:
-        return reward
-    if needed != 1:
-        raise SpecError(
-            f"reward: takes {needed} arguments; it must take the observation, or "
-            "(observation, action, state, previous)"
-        )
-    return lambda obs, action, state, previous: reward(obs)
+    for count in (4, 1):
+        try:
+            signature.bind(*range(count))
+        except TypeError:
+            continue
+        return reward if count == 4 else lambda obs, action, state, previous: reward(obs)
+    raise SpecError(
+        f"reward: takes {signature}; it must take the observation, or (observation, action, "
+        "state, previous)"
+    )
 
 
 def mjx_env(

@@ -28,9 +28,9 @@ class PpoOptions:
     minibatches: int = 16
     learning_rate: float = 5e-4
     """Initial step size of Adam; it adapts to the divergence of the policy."""
-    kl: float = 0.015
-    """Kullback-Leibler divergence of an update at which the step size stays as it is."""
-    discount: float = 0.97
+    kl: float = 0.02
+    """Kullback-Leibler divergence of an update near which the step size stays as it is."""
+    discount: float = 0.98
     trace: float = 0.95
     """Weight of longer returns in the advantage (lambda of GAE)."""
     clip: float = 0.2
@@ -186,10 +186,6 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
     def descend(carry: tuple[Networks, Any], batch: dict[str, Array]) -> tuple[Any, Any]:
         networks, state = carry
         (_, told), gradient = jax.value_and_grad(loss, has_aux=True)(networks, batch)
-        rate = state[1].hyperparams["learning_rate"]
-        factor = jnp.where(told["kl"] > 2 * options.kl, 1 / 1.5, 1.0)
-        factor = jnp.where((told["kl"] < options.kl / 2), 1.2, factor)
-        state[1].hyperparams["learning_rate"] = jnp.clip(rate * factor, 1e-5, 2e-3)
         changes, state = optimizer.update(gradient, state, networks)
         return (optax.apply_updates(networks, changes), state), told
 
@@ -218,6 +214,9 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         (networks, state), told = jax.lax.scan(
             epoch, carry, jax.random.split(shuffle, options.epochs)
         )
+        rate, kl = state[1].hyperparams["learning_rate"], told["kl"][-1].mean()
+        factor = jnp.where(kl > 2 * options.kl, 1 / 1.5, jnp.where(kl < options.kl / 2, 1.5, 1.0))
+        state[1].hyperparams["learning_rate"] = jnp.clip(rate * factor, 1e-5, 2e-3)
         sums = {name: v.sum() for name, v in data.finished.items()}
         report = {k: v / jnp.maximum(sums["episodes"], 1) for k, v in sums.items()}
         report |= {"episodes": sums["episodes"], "reward": data.reward.mean()}
