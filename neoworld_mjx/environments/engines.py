@@ -5,8 +5,8 @@ reset, gathered and stored like any arrays.
 """
 
 import copy
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ class WorldState(NamedTuple):
     xquat: Float[Array, "nbody 4"]
 
 
+@runtime_checkable
 class StepEngine(Protocol):
     """Engine whose `step` is pure and may be jitted and vmapped."""
 
@@ -68,9 +69,7 @@ class NativeSteps:
         state = state._replace(ctrl=ctrl)
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, jnp.float32), state)
         call = lambda fields, state: self._on_host(fields, state, steps)
-        return jax.pure_callback(
-            call, shapes, dict(fields), state, vmap_method="broadcast_all"
-        )
+        return jax.pure_callback(call, shapes, dict(fields), state, vmap_method="broadcast_all")
 
     def _on_host(self, fields: dict[str, Any], state: WorldState, steps: int) -> WorldState:
         state = WorldState(*(np.asarray(x) for x in state))
@@ -113,9 +112,7 @@ class WarpSteps:
 
     name = "warp"
 
-    def __init__(
-        self, model: mujoco.MjModel, worlds: int, contacts: int, constraints: int
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, worlds: int, contacts: int, constraints: int) -> None:
         """Allocate for `worlds` worlds with an average of `contacts` contacts in a shared pool.
 
         Args:
@@ -182,7 +179,7 @@ def _state(data: mjx.Data) -> WorldState:
     return WorldState(*(getattr(data, name) for name in WorldState._fields))
 
 
-def initial_world(model: mujoco.MjModel, qpos: Array, ctrl: Array) -> WorldState:
+def initial_world(model: mujoco.MjModel, qpos: Any, ctrl: Any) -> WorldState:
     """Return a world at rest whose bodies' poses are not set: give it to `step` with 0 steps."""
     zero = lambda *shape: jnp.zeros(shape, jnp.float32)
     return WorldState(
@@ -246,6 +243,3 @@ def capacity(controlled: ControlledScene) -> tuple[int, int]:
     pool = 2 * contacts + 32
     rows = 2 * max(constraints, 4 * contacts) + 32
     return -(-pool // 16) * 16, -(-rows // 32) * 32
-
-
-CallSteps = Callable[[Fields, WorldState, Array, int], WorldState]

@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +12,10 @@ from jaxtyping import Bool, Float
 
 from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
+from .arm import scene_state
 from .mjx_environment import MjxEnv
 from .policy import Policy
 from .policy_environment import PolicyEnv, policy_action, policy_observation
-from .arm import scene_state
 from .task import SceneTask
 from .training import scene_variants, task_scene
 
@@ -84,9 +83,7 @@ def evaluate(
     setting = policy.about.setting
     task = task_scene(scene, setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
-    env = MjxEnv(
-        task.controlled, variants=variants, engine="native", control_s=setting.control_s
-    )
+    env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
     policy_env = PolicyEnv(env, task, setting.horizon)
     count = 1 if variants is None else len(variants)
     if variants is None:
@@ -128,7 +125,7 @@ def episode(
     steps = max(round(setting.control_s / model.opt.timestep), 1)
     frames = [_copied(model, data)]
     for _ in range(setting.horizon):
-        state: Any = scene_state(data)
+        state = scene_state(data)
         obs = policy_observation(task, state, np)
         if len(frames) == 1:
             check_fit(policy, len(obs), len(controlled.hold_action))

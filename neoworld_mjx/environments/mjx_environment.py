@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..errors import SpecError
 from ..physics.gripper import Gripper
 from ..spec import SceneSpec
-from .arm import Control
+from .arm import Control, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
 from .engines import WorldState, choose_engine, initial_world, open_steps
 from .randomization import Variants
@@ -25,7 +25,8 @@ from .robots import Mount, Robot
 Observation = dict[str, Array]
 """Observations by name; see `ControlledScene.observe`."""
 Reward = Callable[..., Float[Array, ""]]
-"""Function of the observation, or of (observation, action, state, previous state)."""
+"""Function of the observation, or of (observation, action, state, previous), where the last two are
+each a `SceneState`."""
 WORLDS = 4096
 """Number of worlds for which warp allocates memory, unless stated."""
 
@@ -106,7 +107,7 @@ class MjxEnv:
 
         JAX can trace this method.
         """
-        ctrl = self.controlled.controls(action, state.data, jnp)
+        ctrl = self.controlled.controls(action, scene_state(state.data), jnp)
         world = self.steps.step(self._fields(state.info), state.data, ctrl, self.n_substeps)
         info = state.info | {"step": state.info["step"] + 1}
         return self._state(world, state.data, action, info)
@@ -121,11 +122,12 @@ class MjxEnv:
     def _state(
         self, world: WorldState, previous: WorldState, action: Array, info: dict[str, Array]
     ) -> EnvState:
-        obs = self.controlled.observe(world, jnp)
+        obs = self.controlled.observe(scene_state(world), jnp)
         finite = jnp.all(jnp.isfinite(world.qpos)) & jnp.all(jnp.isfinite(world.qvel))
         reward = jnp.zeros(())
         if self._reward is not None:
-            reward = jnp.asarray(self._reward(obs, action, world, previous), jnp.float32)
+            now, before = scene_state(world), scene_state(previous)
+            reward = jnp.asarray(self._reward(obs, action, now, before), jnp.float32)
         done = 1.0 - finite.astype(jnp.float32)
         return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, {}, info)
 

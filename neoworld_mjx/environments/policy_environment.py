@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..spec.pose import rotate
-from .arm import SceneState
+from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
 from .mjx_environment import EnvState, MjxEnv
 from .networks import flat
@@ -77,13 +77,13 @@ class PolicyEnv:
 
     def step(self, state: TaskState, action: Array) -> TaskState:
         """Return the next state."""
-        data = state.env.data
+        now = scene_state(state.env.data)
         return self._state(
-            self.env.step(state.env, policy_action(self.env.controlled, data, action))
+            self.env.step(state.env, policy_action(self.env.controlled, now, action))
         )
 
     def _state(self, state: EnvState) -> TaskState:
-        world: Any = state.data
+        world = scene_state(state.data)
         told = {
             "success": self.task.success(world).astype(jnp.float32),
             "progress": self.task.progress(world).astype(jnp.float32),

@@ -6,7 +6,7 @@ continues from a stored initial state, so that a reset costs no simulation.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,7 @@ class PpoOptions:
     critic: tuple[int, ...] = (256, 256, 128)
 
 
+@runtime_checkable
 class Trainable(Protocol):
     """What the optimization needs of an environment; both methods are for one world."""
 

@@ -4,6 +4,7 @@ import inspect
 
 from ..errors import SpecError, choices
 from ..spec import SceneSpec
+from .controlled_scene import handles
 from .task import KINDS, Task
 
 
@@ -31,3 +32,16 @@ def task_of(scene: SceneSpec, words: str) -> Task:
     if len(given) > len(takes) or not values:
         raise SpecError(f"task {kind}: it takes {', '.join(p.name for p in takes)}")
     return maker(scene, **values)
+
+
+def gripper_of(task: Task) -> str:
+    """Return the handle that a flying gripper faces at the start of a task.
+
+    Raises:
+        SpecError: the task does not work on a handle.
+    """
+    at = task.point
+    for name, (item, frame) in handles(task.scene).items():
+        if (item.name, frame.part, frame.pos) == (at.object, at.part, at.pos):
+            return name
+    raise SpecError(f"task {task.instruction!r} has no handle for a flying gripper: give a robot")

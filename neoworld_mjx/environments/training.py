@@ -4,7 +4,6 @@ import dataclasses
 import io
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from ..errors import SpecError
 from ..io.binary_files import read_arrays
 from ..io.files import content_hash, write_output
+from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
 from .controlled_scene import ControlledScene, controlled_scene
@@ -51,7 +51,7 @@ class Training:
     """native, warp or mjx; the fastest of the machine if None."""
 
 
-Progress = Callable[[dict[str, float]], None]
+REPORT_S = 10.0
 
 
 def task_scene(
@@ -95,7 +95,6 @@ def train(
     training: Training | None = None,
     options: ppo.PpoOptions | None = None,
     resume: bool = False,
-    progress: Progress | None = None,
 ) -> Policy:
     """Train a policy and write it to a folder.
 
@@ -109,7 +108,6 @@ def train(
         training: duration, draws and seed.
         options: settings of the optimization; if None, defaults for the engine.
         resume: continue from the checkpoint in the folder.
-        progress: called with each row of the curve.
 
     Raises:
         SpecError: the task is not possible in the scene, or the checkpoint is of another training.
@@ -142,7 +140,7 @@ def train(
     curve: list[dict[str, float]] = []
     if resume:
         learner, curve = _read_checkpoint(out, learner, same)
-    update = ppo.make_update(policy_env, o)
+    advance = ppo.make_update(policy_env, o)
     about = lambda: About(
         setting=setting,
         scene=content_hash(scene.to_json()),
@@ -151,11 +149,11 @@ def train(
         samples=t.samples,
     )
     before = curve[-1]["seconds"] if curve else 0.0
-    started = saved = time.monotonic()
+    started = saved = reported = time.monotonic()
     first = True
     while float(learner.steps) * 1000 < t.steps:
-        learner, worlds, report = update(learner, worlds, pool)
-        row = {name: float(value) for name, value in report.items()}
+        learner, worlds, told = advance(learner, worlds, pool)
+        row = {name: float(value) for name, value in told.items()}
         now = time.monotonic()
         if first:  # compiling does not count
             started, first = now, False
@@ -164,8 +162,9 @@ def train(
         if not np.isfinite(row["reward"]) or not np.isfinite(row["value_loss"]):
             raise SpecError("training diverged: its values are not finite; lower learning_rate")
         curve.append(row)
-        if progress is not None:
-            progress(row)
+        if now - reported > REPORT_S or len(curve) == 1:
+            _report(row, t)
+            reported = now
         if now - saved > CHECKPOINT_S:
             _write(out, policy_of(learner, about()), learner, same, curve)
             saved = now
@@ -175,6 +174,15 @@ def train(
     _write(out, policy, learner, same, curve)
     draw_curve(curve, out / PICTURE)
     return policy
+
+
+def _report(row: dict[str, float], training: Training) -> None:
+    rate = row["steps"] / max(row["seconds"], 1e-9)
+    update(done=row["steps"], of=training.steps, unit="steps", rate=rate)
+    report(
+        f"{row['seconds']:.0f} s, {row['steps']:,} control steps: success "
+        f"{row['success']:.0%}, progress {row['progress']:.2f}, return {row['return']:.1f}"
+    )
 
 
 def default_options(engine: str) -> ppo.PpoOptions:
