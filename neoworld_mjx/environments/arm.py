@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from ..errors import SpecError
 from ..physics.array_types import AnyArray
 from ..spec.pose import quat_mul, rotate
 from .robots import PREFIX, TOOL, Mount, RobotSpec
@@ -97,6 +98,16 @@ class Arm:
         """Action that keeps the initial posture with an open gripper, shape [action]."""
         still = np.zeros(6) if self.control == "tool" else self.home
         return np.append(still, 1.0).astype(np.float32)
+
+    def checked_home(self, home: tuple[float, ...]) -> NDArray:
+        """Return initial positions of the joints, within their limits.
+
+        Raises:
+            SpecError: their number is wrong.
+        """
+        if len(home) != len(self.joints):
+            raise SpecError(f"mount: home has {len(home)} of {len(self.joints)} joints")
+        return np.clip(home, self.low, self.high)
 
     def initial_controls(self, ctrl: NDArray) -> None:
         """Set the controls that hold the initial posture with an open gripper, in place."""

@@ -4,7 +4,7 @@ A free gripper may start in front of a handle, with one finger on each side of t
 stands where it is mounted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,10 +28,10 @@ from ..physics.model_fields import model_fields
 from ..physics.posterior import openings, pose_factor
 from ..spec import SceneObject, SceneSpec, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
-from ..spec.pose import from_matrix, rotate
+from ..spec.pose import Pose, from_matrix, rotate
 from .arm import Arm, Control, SceneState, compiled_arm
 from .robots import PREFIX as ROBOT
-from .robots import Mount, Robot, attach_robot, find_robot, read_robot
+from .robots import TOOL, Mount, Robot, attach_robot, find_robot, read_robot
 
 AWAY_M = 0.10
 """Initial distance of a gripper from a handle [m]."""
@@ -53,6 +53,18 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
     Raises:
         SpecError: the scene has no handle with this name.
     """
+    at = facing_pose(scene, name)
+    x, y, z = (float(v) for v in at.apply((0.0, 0.0, -AWAY_M)))
+    w, i, j, k = (float(v) for v in at.quat)
+    return Gripper((x, y, z), (w, i, j, k), OPENING_M)
+
+
+def facing_pose(scene: SceneSpec, name: str) -> Pose:
+    """Return the pose of a tool at a handle that points against the handle's opening direction.
+
+    Raises:
+        SpecError: the scene has no handle with this name.
+    """
     by_name = handles(scene)
     if name not in by_name:
         raise SpecError(f"scene {scene.name}: handle: {choices(name, sorted(by_name))}")
@@ -70,10 +82,7 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
     across = _across(opens, np.array(frame.half))
     local_axes = np.column_stack([np.cross(across, -opens), across, -opens])
     axes = np.column_stack([rotate(world.quat, column) for column in local_axes.T])
-    start = point + AWAY_M * rotate(world.quat, opens)
-    x, y, z = (float(v) for v in start)
-    w, i, j, k = (float(v) for v in from_matrix(axes))
-    return Gripper((x, y, z), (w, i, j, k), OPENING_M)
+    return Pose(point, from_matrix(axes))
 
 
 def _across(opens: NDArray, half: NDArray) -> NDArray:
@@ -226,6 +235,12 @@ class ControlledScene:
             return a
         half = xp.where(a[-1] > 0, a[-1] / 2, CLOSED_M)
         return xp.concatenate([a[:-1], half[None], half[None]])
+
+    @cached_property
+    def initial_root(self) -> tuple[NDArray, NDArray]:
+        """Pose of the robot's first body as it was mounted."""
+        body = int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
+        return self.model.body_pos[body].copy(), self.model.body_quat[body].copy()
 
     def tool(self, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
         """Return the position [3] m and orientation [4] of the tool of the gripper or robot.
@@ -388,6 +403,8 @@ def controlled_scene(
     arm = None
     if parts is not None and mount is not None:
         arm = compiled_arm(mjm, parts, mount, control)
+        if mount.home:
+            arm = replace(arm, home=arm.checked_home(mount.home))
         qpos[arm.qpos], qpos[arm.fingers] = arm.home, arm.opened
     return ControlledScene(compiled, mjm, qpos, scene_drives, hand, arm)
 

@@ -26,10 +26,12 @@ TOOL = "tool"
 """Name of the site that is added between the fingers, after the prefix."""
 SITES = ("tool", "tip", "grip_site", "gripperframe", "pinch", "gripper", "tcp", "attachment_site")
 """Names of the site between the fingers, in files that the user gives; the first that exists."""
-RATE = 30.0
+RATE = 50.0
 """Natural frequency of the position actuators that replace a file's motors [rad/s]."""
 PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.004, 1.0]}
 """Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
+GROUP = 5
+"""Group of the geoms of a robot that collide."""
 _MOVES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -61,6 +63,8 @@ class Mount:
     """[m]"""
     yaw: float = 0.0
     """[rad]"""
+    home: tuple[float, ...] = ()
+    """Initial positions of the arm's joints [rad or m]; by default the robot's own."""
 
     @property
     def quat(self) -> NDArray:
@@ -479,6 +483,7 @@ def _simplify(
             continue
         # The robot collides with the scene, whose geoms have contype 1, and not with itself.
         geom.contype, geom.conaffinity = 0, 1
+        geom.group = GROUP
         if in_gripper:
             for field, value in PAD.items():
                 setattr(geom, field, value)

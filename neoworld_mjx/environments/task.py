@@ -39,6 +39,8 @@ REACH, GRASP, PROGRESS, SUCCESS, EFFORT = 0.2, 0.2, 0.6, 1.0, 0.005
 """Weights of the reward's terms."""
 FAR_M, CLOSE_M = 0.3, 0.03
 """Distances over which the reward of reaching falls [m]."""
+DEPTH_M = 0.03
+"""Depth below the top of an object at which the tool works on it, if it is higher [m]."""
 HELD_M = 0.02
 """Margin of an object's box within which a closed gripper holds the object [m]."""
 
@@ -258,10 +260,10 @@ def _handle(item: SceneObject, joint: Any, *, grasp: bool = True) -> WorkPoint:
 
 
 def _body_point(item: SceneObject, *, grasp: bool = True) -> WorkPoint:
-    """Return the site "grasp" of an object, or the middle of its box."""
+    """Return the site "grasp" of an object, or the middle of its box, below the top if it is high."""
     sites = [site for site in item.spec.sites if site.name == "grasp" and grasp]
-    middle = tuple(float(v) for v in _box(item)[0])
-    at = sites[0].pos if sites else (middle[0], middle[1], middle[2])
+    (x, y, z), half = (values.tolist() for values in _box(item))
+    at = sites[0].pos if sites else (x, y, z + max(0.0, half[2] - DEPTH_M))
     part = sites[0].part if sites else item.spec.root
     return WorkPoint(item.name, part, at, grasp)
 
