@@ -93,7 +93,7 @@ class TrainCommand(Command):
 
 
 def _setting(command: TrainCommand, scene: "SceneSpec") -> "Setting":
-    """Return the setting of the flags, with a proposed mount or the gripper at the task's handle."""
+    """Return the setting of the flags, with a proposed mount, or a gripper at the handle."""
     from ..environments.policy import Setting
     from ..environments.robots import Mount
     from ..environments.task_words import gripper_of, task_of

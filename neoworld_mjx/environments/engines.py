@@ -108,7 +108,7 @@ def _divergences(batch: Batch) -> np.ndarray:
 
 
 class WarpSteps:
-    """MuJoCo Warp through upstream MJX, on NVIDIA GPUs. Kernels compile once for each kind of scene."""
+    """MuJoCo Warp through upstream MJX, on NVIDIA GPUs, which compiles once for a scene."""
 
     name = "warp"
 
@@ -194,7 +194,7 @@ def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEng
     """Return an engine for batches of at most `worlds` worlds.
 
     Raises:
-        EngineError: the engine is unknown, cannot run on this machine, or cannot simulate the scene.
+        EngineError: the engine is unknown, cannot run here, or cannot simulate the scene.
     """
     if engine == "native":
         return NativeSteps(controlled.model)
@@ -207,7 +207,7 @@ def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEng
 
 
 def choose_engine() -> str:
-    """Return the fastest engine of this machine: native without an accelerator, else warp or mjx."""
+    """Return the fastest engine here: native without an accelerator, else warp or mjx."""
     if jax.default_backend() == "cpu":
         return "native"
     try:

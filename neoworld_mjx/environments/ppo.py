@@ -1,4 +1,4 @@
-"""Proximal policy optimization (Schulman et al., 2017) over batches of worlds, in one compiled step.
+"""Proximal policy optimization (Schulman et al., 2017) over batches of worlds.
 
 An episode that ends by time is continued by its value (Pardo et al., 2018). At its end, a world
 continues from a stored initial state, so that a reset costs no simulation.
