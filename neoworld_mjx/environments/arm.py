@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..physics.array_types import AnyArray
-from ..spec.pose import quat_mul, rotate
+from ..spec.pose import length, quat_mul, rotate
 from .robots import PREFIX, TOOL, Mount, RobotSpec
 
 Control = Literal["tool", "joints"]
@@ -32,6 +32,9 @@ more closely than orientations."""
 POSTURE = 0.05
 """Share of the distance to the initial posture by which redundant joints return, for an action of
 length 1."""
+
+TOWARD = 0.3
+"""Share of the distance to a pose that `Arm.toward` asks for in one step."""
 
 
 class SceneState(NamedTuple):
@@ -167,6 +170,27 @@ class Arm:
         drift = POSTURE * xp.sqrt(xp.sum(a[:6] ** 2)) * (self.home - aimed)
         step = self._joint_step(xp.concatenate([move, turn]), drift, state, xp)
         return xp.clip(aimed + step, self.low, self.high) / self.gains, grip
+
+    def toward(self, state: SceneState, pos: Any, quat: Any, grip: float, xp: Any = np) -> Any:
+        """Return the action that moves the tool toward a pose, as scripted motions use.
+
+        Args:
+            state: the present state.
+            pos: position of the tool [m].
+            quat: orientation of the tool.
+            grip: action of the gripper.
+            xp: `numpy` or `jax.numpy`.
+        """
+        here, now = self.tool(state, xp)
+        back = np.array([1.0, -1.0, -1.0, -1.0])
+        turn = quat_mul(quat, now * back, xp)
+        turn = turn * xp.where(turn[0] < 0, -1.0, 1.0)
+        sine = length(turn[1:], xp)
+        angle = 2 * xp.arctan2(sine, turn[0]) / xp.maximum(sine, 1e-9)
+        base = state.xquat[self.base] * back
+        move = rotate(base, pos - here, xp) / MOVE_M
+        twist = xp.concatenate([move, rotate(base, turn[1:] * angle, xp) / TURN_RAD])
+        return xp.append(xp.clip(TOWARD * twist, -1.0, 1.0), grip)
 
     def _joint_step(self, twist: Any, drift: Any, state: SceneState, xp: Any) -> Any:
         """Solve for the joints' motion: damped least squares, with a drift in the null space."""

@@ -96,13 +96,13 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
     controlled = controlled_scene(task.scene, robot=robot, mount=Mount((0.0, 0.0, 0.0)))
     data = mujoco.MjData(controlled.model)
     point = tool_path(task, Mount((0.0, 0.0, 0.0)))[1].pos
-    side = _side(task, point)
+    side, (length, _) = _side(task, point), _length(controlled, data)
     reasons: list[str] = []
     for height in HEIGHTS_M:
         best: tuple[float, Mount] | None = None
         for share, angle in itertools.product(SHARES, ANGLES):
             away = side + angle
-            distance = share * _length(controlled)
+            distance = share * length
             xy = point[:2] + distance * np.array([math.cos(away), math.sin(away)])
             ground = _ground(task, xy, float(point[2]))
             if ground is None:
@@ -260,10 +260,13 @@ def _follow(controlled: ControlledScene, data: mujoco.MjData, path: list[Pose]) 
     """Solve for the joints along a path, each from the solution before."""
     arm, model = controlled.arm, controlled.model
     assert arm is not None
-    data.qpos[:] = controlled.initial_qpos
+    length, shoulder = _length(controlled, data)
     worst, margin, home = 0.0, np.inf, arm.home
+    if max(np.linalg.norm(target.pos - shoulder) for target in path) > length:
+        return Reach(False, "it is too far away", np.inf, -1.0, tuple(home))
     for k, target in enumerate(path):
         tries = 4 if k == 0 else 1
+        error_m = error_rad = np.inf
         for attempt in range(tries):
             if k == 0:
                 spread = np.random.default_rng(attempt).normal(size=len(arm.home))
@@ -342,16 +345,16 @@ def _side(task: Task, point: NDArray) -> float:
     return math.atan2(y - point[1], x - point[0])
 
 
-def _length(controlled: ControlledScene) -> float:
-    """Return the length of the stretched arm from its second joint [m]."""
-    arm, data = controlled.arm, mujoco.MjData(controlled.model)
+def _length(controlled: ControlledScene, data: mujoco.MjData) -> tuple[float, NDArray]:
+    """Return the length of the stretched arm from its second joint, and where that is [m]."""
+    arm = controlled.arm
     assert arm is not None
     data.qpos[:] = controlled.initial_qpos
     mujoco.mj_kinematics(controlled.model, data)
     state = scene_state(data)
     anchors = state.xpos[arm.bodies] + rotate(state.xquat[arm.bodies], arm.anchors)
     points = np.vstack([anchors[1:], arm.tool(state)[0]])
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()), anchors[1]
 
 
 def _ground(task: Task, xy: NDArray, height: float) -> float | None:

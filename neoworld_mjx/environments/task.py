@@ -260,7 +260,7 @@ def _handle(item: SceneObject, joint: Any, *, grasp: bool = True) -> WorkPoint:
 
 
 def _body_point(item: SceneObject, *, grasp: bool = True) -> WorkPoint:
-    """Return the site "grasp" of an object, or the middle of its box, below the top if it is high."""
+    """Return the site "grasp" of an object, or the middle of its box; below the top if high."""
     sites = [site for site in item.spec.sites if site.name == "grasp" and grasp]
     (x, y, z), half = (values.tolist() for values in _box(item))
     at = sites[0].pos if sites else (x, y, z + max(0.0, half[2] - DEPTH_M))
