@@ -31,6 +31,10 @@ WORLDS = 4096
 """Number of worlds for which warp allocates memory, unless stated."""
 
 
+FASTEST, FARTHEST = 1e3, 1e3
+"""Velocities [m/s or rad/s] and positions [m or rad] from which a simulation has diverged."""
+
+
 class EnvState(eqx.Module):
     """State of one environment, with the field names of MuJoCo Playground."""
 
@@ -123,7 +127,10 @@ class MjxEnv:
         self, world: WorldState, previous: WorldState, action: Array, info: dict[str, Array]
     ) -> EnvState:
         obs = self.controlled.observe(scene_state(world), jnp)
-        finite = jnp.all(jnp.isfinite(world.qpos)) & jnp.all(jnp.isfinite(world.qvel))
+        whole = world.xpos, world.xquat, world.qacc_warmstart
+        finite = jnp.all(jnp.abs(world.qvel) < FASTEST) & jnp.all(jnp.abs(world.qpos) < FARTHEST)
+        for values in whole:
+            finite &= jnp.all(jnp.isfinite(values))
         reward = jnp.zeros(())
         if self._reward is not None:
             now, before = scene_state(world), scene_state(previous)

@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 
 CLIP = 10.0
 """Largest absolute value of a normalized observation."""
+LARGEST = 100.0
+"""Largest absolute value of an observation, so that a world that flies apart spoils no mean."""
 
 
 class Normalizer(NamedTuple):
@@ -56,7 +58,7 @@ def mlp(layers: tuple[Layer, ...], x: Any, xp: Any = jnp) -> Any:
     for k, (weight, bias) in enumerate(layers):
         x = x @ weight + bias
         if k + 1 < len(layers):
-            x = x / (1 + xp.exp(-x))
+            x = x * (0.5 + 0.5 * xp.tanh(0.5 * x))  # its gradient is finite for any x
     return x
 
 
@@ -74,4 +76,5 @@ def init_layers(key: Array, sizes: tuple[int, ...], last: float) -> tuple[Layer,
 def flat(obs: dict[str, Any], xp: Any = jnp) -> Any:
     """Return named observations as one vector, in the order of their names, shape [obs]."""
     vector = xp.concatenate([xp.reshape(obs[name], (-1,)) for name in sorted(obs)])
-    return xp.nan_to_num(vector.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    vector = xp.nan_to_num(vector.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    return xp.clip(vector, -LARGEST, LARGEST)

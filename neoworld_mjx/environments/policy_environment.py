@@ -37,7 +37,7 @@ def policy_observation(task: SceneTask, state: SceneState, xp: Any = jnp) -> Any
 def policy_action(scene: ControlledScene, state: SceneState, action: Any, xp: Any = jnp) -> Any:
     """Return the environment's action for the action of a policy.
 
-    A flying gripper moves its target by changes, as a robot does, instead of to absolute poses.
+    A flying gripper moves its target by changes and closes at 0 and below, as a robot does.
     """
     a = xp.clip(action, -1.0, 1.0)
     low, high = scene.action_bounds
@@ -47,7 +47,7 @@ def policy_action(scene: ControlledScene, state: SceneState, action: Any, xp: An
     n = len(scene.drives)
     change = np.array([STEP_M] * 3 + [STEP_RAD] * 3, np.float32) * a[n : n + 6]
     moved = xp.clip(state.ctrl[n : n + 6] + change, low[n:-1], high[n:-1])
-    return xp.concatenate([absolute[:n], moved, absolute[-1:]])
+    return xp.concatenate([absolute[:n], moved, high[-1:] * xp.maximum(a[-1:], 0.0)])
 
 
 class TaskState(eqx.Module):

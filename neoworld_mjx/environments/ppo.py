@@ -15,6 +15,11 @@ from jaxtyping import Array, Float
 
 from .networks import Actor, Layer, Normalizer, init_layers, mlp
 
+LOG_STD = (-3.0, 0.5)
+"""Bounds of the logarithm of the standard deviation of actions."""
+RATES = (1e-5, 1e-3)
+"""Bounds of the step size."""
+
 
 @dataclass(frozen=True)
 class PpoOptions:
@@ -33,6 +38,8 @@ class PpoOptions:
     discount: float = 0.98
     trace: float = 0.95
     """Weight of longer returns in the advantage (lambda of GAE)."""
+    reward_scale: float = 0.1
+    """Factor of rewards, so that values are about 1 in size."""
     clip: float = 0.2
     entropy: float = 2e-3
     log_std: float = -0.5
@@ -145,7 +152,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
     def act(carry: tuple[Any, ...], key: Array) -> tuple[tuple[Any, ...], Transitions]:
         learner, worlds, pool = carry
         networks, normalize = learner.networks, learner.normalizer
-        obs = worlds.states.obs
+        obs = worlds.states.obs  # of worlds that have not diverged: those were replaced
         x = normalize(obs)
         mean = mlp(networks.actor.layers, x)
         noise, pick = jax.random.split(key)
@@ -161,7 +168,8 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         finished |= {name: at_end(v) for name, v in states.metrics.items()}
         step = Transitions(
             obs, action, log_prob(networks.actor, mean, action), mean,
-            states.reward, value(x), value(normalize(states.obs)), terminated, ended, finished,
+            options.reward_scale * states.reward, value(x), value(normalize(states.obs)),
+            terminated, ended, finished,
         )  # fmt: skip
         rows = jax.random.randint(pick, ended.shape, 0, options.worlds)
         fresh = lambda new, old: jnp.where(
@@ -173,7 +181,8 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
 
     def loss(networks: Networks, batch: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         mean = mlp(networks.actor.layers, batch["x"])
-        ratio = jnp.exp(log_prob(networks.actor, mean, batch["action"]) - batch["log_prob"])
+        change = log_prob(networks.actor, mean, batch["action"]) - batch["log_prob"]
+        ratio = jnp.exp(jnp.clip(change, -20.0, 20.0))
         gain = batch["advantage"]
         clipped = jnp.clip(ratio, 1 - options.clip, 1 + options.clip)
         policy = -jnp.mean(jnp.minimum(ratio * gain, clipped * gain))
@@ -187,8 +196,16 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
     def descend(carry: tuple[Networks, Any], batch: dict[str, Array]) -> tuple[Any, Any]:
         networks, state = carry
         (_, told), gradient = jax.value_and_grad(loss, has_aux=True)(networks, batch)
-        changes, state = optimizer.update(gradient, state, networks)
-        return (optax.apply_updates(networks, changes), state), told
+        changes, moved = optimizer.update(gradient, state, networks)
+        better = optax.apply_updates(networks, changes)
+        low, high = LOG_STD
+        better = better._replace(
+            actor=better.actor._replace(log_std=jnp.clip(better.actor.log_std, low, high))
+        )
+        # A step that is not finite is left out, or nothing would be finite ever after.
+        sane = jnp.isfinite(optax.tree.norm(gradient))
+        keep = lambda new, old: jnp.where(sane, new, old)
+        return jax.tree.map(keep, (better, moved), (networks, state)), told | {"left_out": ~sane}
 
     def update(learner: Learner, worlds: Worlds, pool: Any) -> Any:
         key, unroll, shuffle = jax.random.split(learner.key, 3)
@@ -217,10 +234,14 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         )
         rate, kl = state[1].hyperparams["learning_rate"], told["kl"][-1].mean()
         factor = jnp.where(kl > 2 * options.kl, 1 / 1.5, jnp.where(kl < options.kl / 2, 1.5, 1.0))
-        state[1].hyperparams["learning_rate"] = jnp.clip(rate * factor, 1e-5, 2e-3)
+        state[1].hyperparams["learning_rate"] = jnp.clip(rate * factor, *RATES)
         sums = {name: v.sum() for name, v in data.finished.items()}
         report = {k: v / jnp.maximum(sums["episodes"], 1) for k, v in sums.items()}
-        report |= {"episodes": sums["episodes"], "reward": data.reward.mean()}
+        report |= {
+            "episodes": sums["episodes"],
+            "reward": data.reward.mean() / options.reward_scale,
+        }
+        report |= {"diverged": data.terminated.sum()}
         report |= {name: v.mean() for name, v in told.items()}
         report |= {
             "learning_rate": state[1].hyperparams["learning_rate"],
