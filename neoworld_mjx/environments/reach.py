@@ -56,6 +56,8 @@ STEPS = 5
 """Poses between the point and the goal."""
 STAND_M = 0.2
 """Difference of the heights of stands under the base, the lowest that serves is taken [m]."""
+MAX_STAND_M = 1.0
+"""Greatest height of a stand [m]."""
 SHARES = (0.45, 0.6, 0.75)
 """Distances of the base from the point, as shares of the arm's length."""
 ANGLES = tuple(math.radians(a) for a in (0, 25, -25, 50, -50, 75, -75, 120, -120, 180))
@@ -99,7 +101,8 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
     side, (length, _) = _side(task, point), _length(controlled, data)
     lowest = _ground(task, np.full(2, 1e3), float(point[2])) or 0.0
     reasons: list[str] = []
-    for height in np.arange(0.0, max(float(point[2]) - lowest, 0.0) + 2 * STAND_M, STAND_M):
+    highest = min(max(float(point[2]) - lowest, 0.0) + STAND_M, MAX_STAND_M)
+    for height in np.arange(0.0, highest + 1e-6, STAND_M):
         best: tuple[float, Mount] | None = None
         for share, angle in itertools.product(SHARES, ANGLES):
             away = side + angle
