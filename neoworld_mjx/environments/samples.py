@@ -142,6 +142,7 @@ def sample(
     options: RefineOptions | None = None,
     prior: PhysicalPrior | None = None,
     max_px: float = MAX_PX,
+    sizes: bool = True,
 ) -> SceneSamples:
     """Draw scenes that a photograph allows.
 
@@ -157,6 +158,8 @@ def sample(
         prior: priors of what no picture shows.
         max_px: a draw is refused if a side of an object's 2D box moved by more than this and 5 % of
             the diagonal of the box, in an image 640 pixels wide.
+        sizes: if False, all objects keep their sizes, and draws are not compared with the pixels,
+            where an object that is farther away would have to be larger.
 
     Raises:
         SpecError: there is no scene, or `n` is not positive.
@@ -169,12 +172,14 @@ def sample(
     model = compile_scene(spec, timestep=0.002)
     draws = draw(model, np.random.default_rng(seed), n, prior)
     layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), draws.layouts)
+    if not sizes:
+        layouts = Layout(layouts.xy, layouts.yaw, np.zeros_like(layouts.log_scale))
     placed = model.place_exactly(layouts)
     start = Poses(placed.pos, placed.quat, placed.scale, placed.height, draws.variation)
     poses, measures = rest_and_measure(model, start, o, stop_early=True)
     cameras = tuple(_moved_camera(spec, change) for change in draws.camera)
     shift, diagonal = _box_shifts(model, poses, cameras)
-    excess = shift - max_px - MAX_SHARE * diagonal
+    excess = shift - (max_px if sizes else math.inf) - MAX_SHARE * diagonal
     stands = np.array([all(c.passed for c in scene_checks(m, o)) for m in measures])
     reasons = tuple(
         _reason(spec, measure, o) or _pixel_reason(model.names, row)
