@@ -54,6 +54,11 @@ def scene_state(data: Any) -> SceneState:
     return SceneState(data.qpos, data.qvel, data.xpos, data.xquat, data.ctrl)
 
 
+def copied(state: SceneState) -> SceneState:
+    """Return a copy of a state, whose arrays MuJoCo overwrites in the next step."""
+    return SceneState(*(np.array(values) for values in state))
+
+
 @dataclass(frozen=True)
 class Arm:
     """Indices and constants of a robot in a compiled model; arrays are per joint of the arm."""

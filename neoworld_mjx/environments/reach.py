@@ -54,8 +54,10 @@ CLEAR_M = 0.13
 """Least horizontal distance of the base's middle from objects [m]."""
 STEPS = 5
 """Poses between the point and the goal."""
-HEIGHTS_M = (0.0, 0.2, 0.4, 0.6)
-"""Heights of stands under the base, the first that serves is taken [m]."""
+STAND_M = 0.2
+"""Difference of the heights of stands under the base, the lowest that serves is taken [m]."""
+MAX_STAND_M = 1.0
+"""Greatest height of a stand [m]."""
 SHARES = (0.45, 0.6, 0.75)
 """Distances of the base from the point, as shares of the arm's length."""
 ANGLES = tuple(math.radians(a) for a in (0, 25, -25, 50, -50, 75, -75, 120, -120, 180))
@@ -97,8 +99,10 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
     data = mujoco.MjData(controlled.model)
     point = tool_path(task, Mount((0.0, 0.0, 0.0)))[1].pos
     side, (length, _) = _side(task, point), _length(controlled, data)
+    lowest = _ground(task, np.full(2, 1e3), float(point[2])) or 0.0
     reasons: list[str] = []
-    for height in HEIGHTS_M:
+    highest = min(max(float(point[2]) - lowest, 0.0) + STAND_M, MAX_STAND_M)
+    for height in np.arange(0.0, highest + 1e-6, STAND_M):
         best: tuple[float, Mount] | None = None
         for share, angle in itertools.product(SHARES, ANGLES):
             away = side + angle

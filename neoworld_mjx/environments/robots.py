@@ -30,6 +30,8 @@ RATE = 50.0
 """Natural frequency of the position actuators that replace a file's motors [rad/s]."""
 PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.004, 1.0]}
 """Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
+ONE_JAW_M = 0.012
+"""Distance of the tool from the site, if only one finger moves and the site is at the other [m]."""
 GROUP = 5
 """Group of the geoms of a robot that collide."""
 _MOVES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -51,6 +53,8 @@ class Robot:
     """Body that carries the separate gripper."""
     pads: tuple[str, ...] = ()
     """Geoms with which the gripper touches; by default all that collide in the file."""
+    opened: tuple[float, ...] = ()
+    """Positions of the fingers' joints when open [rad or m]; by default an end of their range."""
     trusted: bool = False
     """True for files of an installed package, which need no worker."""
 
@@ -87,7 +91,7 @@ _HAND = {
 }
 _PANDA = (0.0, 0.2, 0.0, -2.6, 0.0, 2.94, 0.785)
 _UR5E = (-0.47, -1.735, 2.48, -2.275, -1.59, -1.991)
-_SO101 = {"tool": "gripperframe", "home": (0.0, -0.9, 0.9, 0.9, 0.0)}
+_SO101 = {"tool": "gripperframe", "home": (0.0, -0.9, 0.9, 0.9, 0.0), "opened": (0.7,)}
 _PADS = {"pads": ("fixed_jaw_pad", "moving_jaw_pad")}
 MODELS = {
     "panda": _Model(
@@ -203,8 +207,12 @@ def read_robot(
     data = mujoco.MjData(model)
     home = _home(model, data, robot, arm)
     closed, opened = _stroke(model, data, fingers, site.id)
+    if robot.opened:
+        if len(robot.opened) != len(fingers):
+            raise SpecError(f"robot {robot.file}: opened has not {len(fingers)} joints")
+        opened = np.array(robot.opened)
     quat = _tool_axes(model, data, fingers, closed, opened, site.id)
-    _add_tool(spec, model, site, quat, data)
+    _add_tool(spec, model, site, quat, data, ONE_JAW_M if len(fingers) == 1 else 0.0)
     _position_actuators(spec, actuators, model, data, arm)
     grip, targets = _grip(actuators, model, fingers, closed, opened, robot)
     moved = {int(model.jnt_bodyid[j]) for j in fingers}
@@ -343,12 +351,15 @@ def _add_tool(
     site: mujoco.MjsSite,
     quat: NDArray,
     data: mujoco.MjData,
+    aside: float,
 ) -> None:
+    """Add the tool's site, this far from the given site toward the moving finger [m]."""
     body = model.site_bodyid[site.id]
     if site.name == TOOL:
         site.name = f"{TOOL}-given"
     local = quat_mul(conjugate(data.xquat[body]), quat)
-    added = spec.bodies[body].add_site(name=TOOL, quat=local, pos=model.site_pos[site.id])
+    pos = model.site_pos[site.id] + rotate(local, (0.0, aside, 0.0))
+    added = spec.bodies[body].add_site(name=TOOL, quat=local, pos=pos)
     added.group = 5
 
 

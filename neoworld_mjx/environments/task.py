@@ -454,7 +454,7 @@ Kind = Literal[
     "reach", "open", "close", "press", "turn", "push", "lift", "place", "insert", "stack",
     "topple", "upright",
 ]  # fmt: skip
-KINDS: dict[str, Callable[..., Task]] = {
+KINDS: dict[Kind, Callable[..., Task]] = {
     "reach": reach,
     "open": open_joint,
     "close": close_joint,

@@ -1,5 +1,7 @@
 """Environments of a scene with a drawer and a block: by Gymnasium, and under vmap."""
 
+from pathlib import Path
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -16,6 +18,8 @@ from neoworld_mjx.spec.pose import rotate
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support.mechanisms import single
 from tests.support.notebooks import run_small
+
+ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity.*:UserWarning")
@@ -200,3 +204,23 @@ def test_both_fingers_of_a_gripper_move_half_of_its_opening(scene, opening, fing
     action = controlled.hold_action.copy()
     action[-1] = opening
     assert controlled.controls(action, state)[-2:] == pytest.approx([finger, finger])
+
+
+def test_a_robot_and_a_task_in_gymnasium(scene):
+    env = nw.gym_env(
+        scene, robot=ARM, mount=nw.Mount((0.9, 0.4, 0.0), -2.6), task="open the drawer", horizon=5
+    )
+    first, _ = env.reset(seed=0)
+    assert env.observation_space.contains(first) and env.action_space.shape == (7,)
+    assert first["robot_joints"].shape == (5,)
+    _, reward, _, _, info = env.step(np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
+    assert 0 < reward < 0.3 and info["progress"] == pytest.approx(0, abs=0.01)
+    assert info["success"] is False
+    own = nw.gym_env(
+        scene,
+        robot=ARM,
+        mount=nw.Mount((0.9, 0.4, 0.0), -2.6),
+        reward=lambda obs, action, state, previous: float(np.abs(state.qpos - previous.qpos).max()),
+    )
+    own.reset(seed=0)
+    assert own.step(np.array([1, 0, 0, 0, 0, 0, 1], np.float32))[1] > 0
