@@ -10,13 +10,18 @@ from .engines import share_gpu_memory
 
 if TYPE_CHECKING:
     from . import measure
+    from .environments import task as tasks
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.reach import propose_mount as propose_mount
+    from .environments.reach import reachable as reachable
     from .environments.robots import Mount as Mount
     from .environments.robots import Robot as Robot
     from .environments.samples import sample as sample
+    from .environments.task import Task as Task
+    from .environments.task_words import task_of as task_of
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
     from .evidence.further_photo import FurtherPhoto as FurtherPhoto
@@ -63,6 +68,7 @@ _LOCATIONS = {
     "ResetNoise": "environments.controlled_scene",
     "Robot": "environments.robots",
     "SceneModel": "physics.model",
+    "Task": "environments.task",
     "Term": "search.rewards",
     "ablate": "sweeps.run",
     "controlled_scene": "environments.controlled_scene",
@@ -71,17 +77,21 @@ _LOCATIONS = {
     "mjx_batch": "physics.mjx_model",
     "mjx_env": "environments.mjx_environment",
     "mjx_step": "physics.mjx_model",
+    "propose_mount": "environments.reach",
+    "reachable": "environments.reach",
     "read_evidence": "pipeline.given_evidence",
     "reconstruct": "pipeline",
     "refine": "search.scene_refinement",
     "rollout": "physics.engine",
     "sample": "environments.samples",
     "sweep": "sweeps.run",
+    "task_of": "environments.task_words",
 }
 _MODULES = {
     "algorithm": "search.algorithm",
     "measure": "measure",
     "rewards": "search.rewards",
+    "tasks": "environments.task",
 }
 
 __all__ = [
@@ -101,6 +111,7 @@ __all__ = [
     "ResetNoise",
     "Robot",
     "SceneModel",
+    "Task",
     "Term",
     "ablate",
     "algorithm",
@@ -111,6 +122,8 @@ __all__ = [
     "mjx_batch",
     "mjx_env",
     "mjx_step",
+    "propose_mount",
+    "reachable",
     "read_evidence",
     "reconstruct",
     "refine",
@@ -118,6 +131,8 @@ __all__ = [
     "rollout",
     "sample",
     "sweep",
+    "task_of",
+    "tasks",
 ]
 
 

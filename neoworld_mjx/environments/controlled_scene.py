@@ -26,7 +26,7 @@ from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
 from ..physics.posterior import openings, pose_factor
-from ..spec import SceneObject, SceneSpec, link_poses, read_scene, world_poses
+from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
 from ..spec.pose import Pose, from_matrix, rotate
 from .arm import Arm, Control, SceneState, compiled_arm
@@ -79,6 +79,9 @@ def facing_pose(scene: SceneSpec, name: str) -> Pose:
         if np.linalg.norm(opens) < 1e-6:
             opens = np.array(joint.axis)
     opens = opens / np.linalg.norm(opens)
+    middle = np.mean(bounds(item.spec), axis=0)
+    if joint.type == "prismatic" and opens @ (np.array(frame.pos) - middle) < 0:
+        opens = -opens  # A button moves inward, and is pressed from outside.
     across = _across(opens, np.array(frame.half))
     local_axes = np.column_stack([np.cross(across, -opens), across, -opens])
     axes = np.column_stack([rotate(world.quat, column) for column in local_axes.T])

@@ -42,8 +42,9 @@ MARGIN = 0.04
 """Least share of a joint's range between its position and a limit."""
 ENOUGH = 0.2
 """Share of a joint's range beyond which farther limits are no better."""
-BEYOND = 0.05
-"""Share of a joint's range by which the motion goes beyond the goal's bound."""
+BEYOND, BEYOND_RAD = 0.05, 0.2
+"""How far the motion goes beyond the goal's bound: as a share of a joint's range, and of a joint
+without one [rad]."""
 FINGER_M, FINGER_Y_M = 0.013, 0.035
 """How far fingers reach beyond the tool, and how far open fingers are apart from it [m]."""
 LIFT_M = 0.005
@@ -143,7 +144,7 @@ def _best_reach(
     )
     controlled.model.body_pos[root], controlled.model.body_quat[root] = moved
     best: Reach | None = None
-    for way in range(2 if _at_handle(task) else WAYS):
+    for way in range(_ways(task)):
         path = tool_path(task, mount, way)
         data.qpos[:] = controlled.initial_qpos
         mujoco.mj_kinematics(controlled.model, data)
@@ -188,6 +189,13 @@ WAYS = 6
 """Number of orientations in which an object is taken: four from above, two from the base."""
 
 
+def _ways(task: Task) -> int:
+    """Return the number of orientations of the tool at the task's point."""
+    if _at_handle(task):
+        return 2 if task.point.grasp else 4
+    return WAYS
+
+
 def _at_handle(task: Task) -> bool:
     item = task.scene.object(task.point.object)
     return any(joint.child == task.point.part for joint in item.spec.joints)
@@ -199,7 +207,8 @@ def tool_path(task: Task, mount: Mount, way: int = 0, retreat: float = 0.0) -> l
     Args:
         task: the task.
         mount: where the robot stands.
-        way: index of an orientation of the tool, of which a handle has two, an object `WAYS`.
+        way: index of an orientation of the tool, of which a handle has two, or four if it is not
+            grasped, and an object `WAYS`.
         retreat: distance by which the tool stays back from the point [m].
     """
     item = task.scene.object(task.point.object)
@@ -220,7 +229,7 @@ def _orientation(task: Task, item: SceneObject, world: Pose, base: NDArray, way:
     """
     if _at_handle(task):
         quat = facing_pose(task.scene, f"{item.name}-{task.point.part}_handle").quat
-        return quat_mul(quat, np.array([0.0, 0.0, 0.0, 1.0])) if way % 2 else quat
+        return quat_mul(quat, from_yaw((0.0, math.pi, math.pi / 2, -math.pi / 2)[way]))
     if way < 4:
         low, high = bounds(item.spec, item.joint_state)
         across = 0.0 if high[1] - low[1] <= high[0] - low[0] else math.pi / 2
@@ -241,7 +250,8 @@ def _onward(task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose)
         width = 1.0 if goal.absolute else joint.upper - joint.lower
         offset = 0.0 if goal.absolute else joint.lower
         low, high = (offset + width * bound for bound in (goal.low, goal.high))
-        end = min(max(now, low + BEYOND * width), high - BEYOND * width)
+        beyond = BEYOND_RAD if goal.absolute else BEYOND * width
+        end = min(max(now, low + beyond), high - beyond)
         if joint.type != "continuous":
             end = min(max(end, joint.lower), joint.upper)
         for k in range(1, STEPS + 1):

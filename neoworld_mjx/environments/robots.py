@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError, choices
 from ..export.compile_mjcf import check_files, compiled
 from ..io.limited_worker import call_limited
+from ..physics.mjcf import VISUAL_GROUP
 from ..spec.pose import IDENTITY, conjugate, from_matrix, from_yaw, quat_mul, rotate
 
 PREFIX = "robot"
@@ -482,19 +483,25 @@ def _simplify(
             body.gravcomp = 1.0
     quat = quat_mul(data.xquat[model.site_bodyid[site.id]], np.array(spec.site(TOOL).quat))
     origin = data.site_xpos[site.id]
+    # Pictures show the colliders of a robot that has no other geoms.
+    bare = visual and bool(np.all(model.geom_contype | model.geom_conaffinity))
     for g, geom in enumerate(list(spec.geoms)):
         body = int(model.geom_bodyid[g])
         in_gripper = body in fingers or int(model.body_weldid[body]) == hand
         collides = bool(model.geom_contype[g] or model.geom_conaffinity[g])
         if not collides:
+            geom.group = VISUAL_GROUP
             continue
         touches = geom.name in robot.pads or not (in_gripper and robot.pads)
         if body in root or not touches or not (in_gripper or links):
-            spec.delete(geom)
+            if bare:
+                geom.contype, geom.conaffinity, geom.group = 0, 0, VISUAL_GROUP
+            else:
+                spec.delete(geom)
             continue
         # The robot collides with the scene, whose geoms have contype 1, and not with itself.
         geom.contype, geom.conaffinity = 0, 1
-        geom.group = GROUP
+        geom.group = VISUAL_GROUP if bare else GROUP
         if in_gripper:
             for field, value in PAD.items():
                 setattr(geom, field, value)

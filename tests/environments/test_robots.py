@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.environments.arm import MOVE_M, scene_state
+from neoworld_mjx.environments.cameras import camera_view, picture
 from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.render.view import View
 from neoworld_mjx.spec.pose import rotate
 from tests.support import scenes
 
@@ -114,3 +116,23 @@ def test_robots_that_cannot_be_used_are_refused(tmp_path):
     outside.write_text('<mujoco><asset><mesh file="../../etc/m.stl"/></asset></mujoco>')
     with pytest.raises(SpecError, match="outside"):
         controlled_scene(scenes.furnished(), robot=outside, mount=MOUNT)
+
+
+def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
+    shown = controlled_scene(scenes.furnished(), robot=ARM, mount=MOUNT, visual=True)
+    data = mujoco.MjData(shown.model)
+    data.qpos[:] = shown.initial_qpos
+    mujoco.mj_kinematics(shown.model, data)
+    view = View.look_at((-2.0, -1.0, 1.0), (-0.5, 0.2, 0.4), width=48, height=36)
+    image = picture(shown, data, view, width=48, height=36)
+    robot = image.names.index("robot-base")
+    assert 20 < (image.segmentation == robot).sum() < 1000
+    distance = np.linalg.norm(np.array(MOUNT.pos) - view.eye)
+    assert np.median(image.depth[image.segmentation == robot]) == pytest.approx(distance, rel=0.3)
+    wrist = camera_view(shown, data, "wrist", width=48, height=36)
+    tool, quat = shown.tool(scene_state(data))
+    np.testing.assert_allclose(wrist.axes[:, 2], rotate(quat, np.array([0.0, 0.0, 1.0])))
+    assert np.linalg.norm(tool - wrist.eye) < 0.2
+    camera = scenes.furnished().camera
+    assert camera is not None
+    np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
