@@ -18,6 +18,7 @@ from mujoco.batch import Batch, SimulationError
 
 from ..engines import ENGINES
 from ..errors import EngineError, choices
+from ..physics.array_types import AnyArray
 from ..physics.mjx_model import make_data, mjx_step, put_compiled, with_fields
 from ..physics.warp_engine import warp_device
 from .arm import scene_state
@@ -30,14 +31,14 @@ Fields = Mapping[str, Array]
 class WorldState(NamedTuple):
     """State of one world; engines map over leading axes with `jax.vmap`."""
 
-    qpos: Float[Array, " nq"]
-    qvel: Float[Array, " nv"]
-    act: Float[Array, " na"]
-    qacc_warmstart: Float[Array, " nv"]
-    ctrl: Float[Array, " nu"]
-    xpos: Float[Array, "nbody 3"]
+    qpos: Float[AnyArray, " nq"]
+    qvel: Float[AnyArray, " nv"]
+    act: Float[AnyArray, " na"]
+    qacc_warmstart: Float[AnyArray, " nv"]
+    ctrl: Float[AnyArray, " nu"]
+    xpos: Float[AnyArray, "nbody 3"]
     """Positions of the bodies at `qpos` [m]."""
-    xquat: Float[Array, "nbody 4"]
+    xquat: Float[AnyArray, "nbody 4"]
 
 
 @runtime_checkable

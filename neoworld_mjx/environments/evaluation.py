@@ -34,7 +34,7 @@ def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class Trials:
     """Outcome of one episode in each of several scenes."""
 
     success: Bool[np.ndarray, " n"]
@@ -65,7 +65,7 @@ class Evaluation:
 
 def evaluate(
     policy: Policy, run: Path | str | SceneSpec, *, samples: int = 256, seed: int = 0
-) -> Evaluation:
+) -> Trials:
     """Run a policy once in each of the draws of a scene.
 
     Actions are the most likely ones, and the time step is 2 ms, half of that in training.
@@ -99,7 +99,7 @@ def evaluate(
         lost |= np.asarray(states.done) > 0
     success = (np.asarray(states.metrics["success"]) > 0) & ~lost
     progress = np.where(lost, 0.0, np.asarray(states.metrics["progress"]))
-    return Evaluation(success, progress, samples)
+    return Trials(success, progress, samples)
 
 
 def check_fit(policy: Policy, observations: int, actions: int) -> None:

@@ -92,7 +92,7 @@ class MjxEnv:
         qpos, pos, quat = self.controlled.reset_state(key, self._noise)
         moved = self._noise.photo and len(self.controlled.fixed)
         fields = {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
-        return self._start(qpos, fields if moved else {})
+        return self._start(jnp.asarray(qpos), fields if moved else {})
 
     def reset_to(self, row: Array) -> EnvState:
         """Start an episode in one of the variants. JAX can trace this method."""
@@ -103,7 +103,7 @@ class MjxEnv:
     def _start(self, qpos: Array, own: dict[str, Array]) -> EnvState:
         info = {"step": jnp.zeros((), jnp.int32), **own}
         start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
-        world = self.steps.step(self._fields(info), start, start.ctrl, 0)
+        world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
         return self._state(world, world, jnp.zeros(self.action_size), info)
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..physics.array_types import AnyArray
+
 CLIP = 10.0
 """Largest absolute value of a normalized observation."""
 LARGEST = 100.0
@@ -19,38 +21,38 @@ LARGEST = 100.0
 class Normalizer(NamedTuple):
     """Running mean and variance of observations."""
 
-    count: Float[Array, ""]
-    mean: Float[Array, " obs"]
-    squares: Float[Array, " obs"]
+    seen: Float[AnyArray, ""]
+    mean: Float[AnyArray, " obs"]
+    squares: Float[AnyArray, " obs"]
     """Sum of the squared deviations from the mean."""
 
     def __call__(self, obs: Any, xp: Any = jnp) -> Any:
         """Return observations with zero mean and unit variance, clipped."""
-        deviation = xp.sqrt(self.squares / xp.maximum(self.count, 1.0)) + 1e-3
+        deviation = xp.sqrt(self.squares / xp.maximum(self.seen, 1.0)) + 1e-3
         return xp.clip((obs - self.mean) / deviation, -CLIP, CLIP)
 
     def update(self, obs: Float[Array, "*batch obs"]) -> "Normalizer":
         """Return the statistics with a batch added (Welford's update)."""
         obs = obs.reshape(-1, obs.shape[-1])
-        count = self.count + len(obs)
+        seen = self.seen + len(obs)
         from_old = obs - self.mean
-        mean = self.mean + from_old.sum(axis=0) / count
+        mean = self.mean + from_old.sum(axis=0) / seen
         added = (from_old * (obs - mean)).sum(axis=0)  # rounding may make it negative
-        return Normalizer(count, mean, jnp.maximum(self.squares + added, 0.0))
+        return Normalizer(seen, mean, jnp.maximum(self.squares + added, 0.0))
 
 
 class Layer(NamedTuple):
     """Dense layer."""
 
-    weight: Float[Array, "input output"]
-    bias: Float[Array, " output"]
+    weight: Float[AnyArray, "input output"]
+    bias: Float[AnyArray, " output"]
 
 
 class Actor(NamedTuple):
     """Policy: the mean of a normal distribution of actions is a network of the observation."""
 
     layers: tuple[Layer, ...]
-    log_std: Float[Array, " action"]
+    log_std: Float[AnyArray, " action"]
 
 
 def mlp(layers: tuple[Layer, ...], x: Any, xp: Any = jnp) -> Any:

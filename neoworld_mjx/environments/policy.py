@@ -95,7 +95,7 @@ def read_policy(path: Path | str) -> Policy:
             raise ValueError(f"it has {count} layers")
         layers = tuple(Layer(arrays[f"weight_{k}"], arrays[f"bias_{k}"]) for k in range(count))
         actor = Actor(layers, arrays["log_std"])
-        normalizer = Normalizer(arrays["count"], arrays["mean"], arrays["squares"])
+        normalizer = Normalizer(arrays["seen"], arrays["mean"], arrays["squares"])
     except (KeyError, ValueError) as error:
         first = str(error).splitlines()[0]
         raise SpecError(f"{path}: it is not a policy file: {first}") from None
@@ -109,7 +109,7 @@ def _check(path: Path, actor: Actor, normalizer: Normalizer) -> None:
     leaves = [*normalizer, actor.log_std, *(a for layer in actor.layers for a in layer)]
     if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in leaves):
         raise SpecError(f"{path}: it is not a policy file: a value is not a finite number")
-    sizes = [normalizer.count.shape == (), normalizer.squares.shape == width, len(width) == 1]
+    sizes = [normalizer.seen.shape == (), normalizer.squares.shape == width, len(width) == 1]
     for layer in actor.layers:
         sizes.append(layer.weight.ndim == 2 and (layer.weight.shape[0],) == width)
         width = layer.bias.shape

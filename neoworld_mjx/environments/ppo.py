@@ -6,7 +6,7 @@ continues from a stored initial state, so that a reset costs no simulation.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -89,7 +89,7 @@ class Learner(NamedTuple):
     """Number of control steps of all worlds so far, in thousands."""
 
 
-class Worlds(NamedTuple):
+class Episodes(NamedTuple):
     """States of all worlds and the running sums of their episodes."""
 
     states: Any
@@ -134,15 +134,15 @@ def init(env: Trainable, options: PpoOptions, key: Array, obs_size: int) -> Lear
     return Learner(networks, Normalizer(jnp.zeros(()), zero, zero), opened, c, jnp.zeros(()))
 
 
-def open_worlds(env: Trainable, options: PpoOptions, key: Array) -> tuple[Worlds, Any]:
+def open_worlds(env: Trainable, options: PpoOptions, key: Array) -> tuple[Episodes, Any]:
     """Return worlds at random ages, and the initial states from which episodes start."""
     a, b = jax.random.split(key)
     pool = jax.jit(jax.vmap(env.reset))(jax.random.split(a, options.worlds))
     age = jax.random.randint(b, (options.worlds,), 0, env.horizon)
-    return Worlds(jax.tree.map(jnp.copy, pool), age, jnp.zeros(options.worlds)), pool
+    return Episodes(jax.tree.map(jnp.copy, pool), age, jnp.zeros(options.worlds)), pool
 
 
-Update = Callable[[Learner, Worlds, Any], tuple[Learner, Worlds, dict[str, Array]]]
+Update = Callable[[Learner, Episodes, Any], tuple[Learner, Episodes, dict[str, Array]]]
 
 
 def make_update(env: Trainable, options: PpoOptions) -> Update:
@@ -177,7 +177,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         )
         states = jax.tree.map(fresh, states, pool)
         zero = lambda v: jnp.where(ended, 0, v)
-        return (learner, Worlds(states, zero(age), zero(returned)), pool), step
+        return (learner, Episodes(states, zero(age), zero(returned)), pool), step
 
     def loss(networks: Networks, batch: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
         mean = mlp(networks.actor.layers, batch["x"])
@@ -196,8 +196,8 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
     def descend(carry: tuple[Networks, Any], batch: dict[str, Array]) -> tuple[Any, Any]:
         networks, state = carry
         (_, told), gradient = jax.value_and_grad(loss, has_aux=True)(networks, batch)
-        changes, moved = optimizer.update(gradient, state, networks)
-        better = optax.apply_updates(networks, changes)
+        changes, moved = optimizer.update(gradient, state, cast(Any, networks))
+        better: Any = optax.apply_updates(cast(Any, networks), changes)
         low, high = LOG_STD
         better = better._replace(
             actor=better.actor._replace(log_std=jnp.clip(better.actor.log_std, low, high))
@@ -207,7 +207,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         keep = lambda new, old: jnp.where(sane, new, old)
         return jax.tree.map(keep, (better, moved), (networks, state)), told | {"left_out": ~sane}
 
-    def update(learner: Learner, worlds: Worlds, pool: Any) -> Any:
+    def update(learner: Learner, worlds: Episodes, pool: Any) -> Any:
         key, unroll, shuffle = jax.random.split(learner.key, 3)
         keys = jax.random.split(unroll, options.unroll)
         (_, worlds, _), data = jax.lax.scan(act, (learner, worlds, pool), keys)

@@ -109,7 +109,7 @@ def test_the_normalizer_is_that_of_all_observations_at_once():
     for part in np.split(x, [7, 60]):
         n = n.update(jnp.asarray(part))
     assert np.allclose(n.mean, x.mean(axis=0), atol=1e-4)
-    assert np.allclose(np.sqrt(n.squares / n.count), x.std(axis=0), atol=1e-3)
+    assert np.allclose(np.sqrt(n.squares / n.seen), x.std(axis=0), atol=1e-3)
     assert np.isfinite(n(jnp.full(3, 1e9))).all()
     wild = flat({"a": np.array([np.nan, np.inf, 1e30, 2.0])}, np)
     assert wild.tolist() == [0.0, 0.0, LARGEST, 2.0]
