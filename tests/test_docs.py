@@ -33,6 +33,8 @@ NOT_RUN = {
     "uses the same calls",
     "docs/how-to/learn-in-environments.md": "needs a run with a drawer; the notebook "
     "open_a_drawer and tests/environments use the same calls",
+    "docs/how-to/robots-and-tasks.md": "needs a run with a drawer and a robot's package; "
+    "tests/environments/test_reach.py uses the same calls",
 }
 """Pages whose blocks are only imported, and why."""
 

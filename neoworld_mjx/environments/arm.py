@@ -176,7 +176,16 @@ class Arm:
         step = self._joint_step(xp.concatenate([move, turn]), drift, state, xp)
         return xp.clip(aimed + step, self.low, self.high) / self.gains, grip
 
-    def toward(self, state: SceneState, pos: Any, quat: Any, grip: float, xp: Any = np) -> Any:
+    def toward(
+        self,
+        state: SceneState,
+        pos: Any,
+        quat: Any,
+        grip: float,
+        xp: Any = np,
+        *,
+        limit: float = 1.0,
+    ) -> Any:
         """Return the action that moves the tool toward a pose, as scripted motions use.
 
         Args:
@@ -185,6 +194,7 @@ class Arm:
             quat: orientation of the tool.
             grip: action of the gripper.
             xp: `numpy` or `jax.numpy`.
+            limit: largest size of an entry of the action; slow motions keep hold of things.
         """
         here, now = self.tool(state, xp)
         back = np.array([1.0, -1.0, -1.0, -1.0])
@@ -195,7 +205,7 @@ class Arm:
         base = state.xquat[self.base] * back
         move = rotate(base, pos - here, xp) / MOVE_M
         twist = xp.concatenate([move, rotate(base, turn[1:] * angle, xp) / TURN_RAD])
-        return xp.append(xp.clip(TOWARD * twist, -1.0, 1.0), grip)
+        return xp.append(xp.clip(TOWARD * twist, -limit, limit), grip)
 
     def _joint_step(self, twist: Any, drift: Any, state: SceneState, xp: Any) -> Any:
         """Solve for the joints' motion: damped least squares, with a drift in the null space."""
