@@ -10,10 +10,18 @@ from .engines import share_gpu_memory
 
 if TYPE_CHECKING:
     from . import measure
+    from .environments import task as tasks
     from .environments.controlled_scene import ResetNoise as ResetNoise
+    from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.reach import propose_mount as propose_mount
+    from .environments.reach import reachable as reachable
+    from .environments.robots import Mount as Mount
+    from .environments.robots import Robot as Robot
     from .environments.samples import sample as sample
+    from .environments.task import Task as Task
+    from .environments.task_words import task_of as task_of
     from .evidence.depth_image import DepthImage as DepthImage
     from .evidence.evidence import Evidence as Evidence
     from .evidence.further_photo import FurtherPhoto as FurtherPhoto
@@ -55,27 +63,35 @@ _LOCATIONS = {
     "KnownSize": "evidence.known_objects",
     "Layout": "physics.layout",
     "Masks": "evidence.masks",
+    "Mount": "environments.robots",
     "Problem": "search.algorithm",
     "ResetNoise": "environments.controlled_scene",
+    "Robot": "environments.robots",
     "SceneModel": "physics.model",
+    "Task": "environments.task",
     "Term": "search.rewards",
     "ablate": "sweeps.run",
+    "controlled_scene": "environments.controlled_scene",
     "gym_env": "environments.gym_environment",
     "load_scene": "physics.model",
     "mjx_batch": "physics.mjx_model",
     "mjx_env": "environments.mjx_environment",
     "mjx_step": "physics.mjx_model",
+    "propose_mount": "environments.reach",
+    "reachable": "environments.reach",
     "read_evidence": "pipeline.given_evidence",
     "reconstruct": "pipeline",
     "refine": "search.scene_refinement",
     "rollout": "physics.engine",
     "sample": "environments.samples",
     "sweep": "sweeps.run",
+    "task_of": "environments.task_words",
 }
 _MODULES = {
     "algorithm": "search.algorithm",
     "measure": "measure",
     "rewards": "search.rewards",
+    "tasks": "environments.task",
 }
 
 __all__ = [
@@ -90,18 +106,24 @@ __all__ = [
     "KnownSize",
     "Layout",
     "Masks",
+    "Mount",
     "Problem",
     "ResetNoise",
+    "Robot",
     "SceneModel",
+    "Task",
     "Term",
     "ablate",
     "algorithm",
+    "controlled_scene",
     "gym_env",
     "load_scene",
     "measure",
     "mjx_batch",
     "mjx_env",
     "mjx_step",
+    "propose_mount",
+    "reachable",
     "read_evidence",
     "reconstruct",
     "refine",
@@ -109,6 +131,8 @@ __all__ = [
     "rollout",
     "sample",
     "sweep",
+    "task_of",
+    "tasks",
 ]
 
 

@@ -29,8 +29,12 @@ NOT_RUN = {
     "docs/benchmark.md": "takes long; tests/bench/test_tasks.py executes plans by the same calls",
     "docs/models.md": "needs a model, and names of a program around it",
     "docs/how-to/sweeps.md": "needs pandas and finished sweeps; tests/sweeps runs sweeps",
+    "docs/how-to/photo-to-policy.md": "trains for minutes; tests/environments/test_policies.py "
+    "uses the same calls",
     "docs/how-to/learn-in-environments.md": "needs a run with a drawer; the notebook "
     "open_a_drawer and tests/environments use the same calls",
+    "docs/how-to/robots-and-tasks.md": "needs a run with a drawer and a robot's package; "
+    "tests/environments/test_reach.py uses the same calls",
 }
 """Pages whose blocks are only imported, and why."""
 

@@ -50,6 +50,15 @@ COMMANDS: dict[str, CommandEntry] = {
         ".sample_command:SampleCommand",
         "Draw scenes that a photograph allows, and count in how many of them every object rests.",
     ),
+    "train": CommandEntry(
+        ".policy_commands:TrainCommand",
+        "Train a policy in a scene: a robot or a flying gripper that does a task.",
+    ),
+    "evaluate": CommandEntry(
+        ".policy_commands:EvaluateCommand",
+        "Run a policy in scenes that it has not seen, and count its successes.",
+    ),
+    "play": CommandEntry(".policy_commands:PlayCommand", "Write a video of a policy in a scene."),
     "export": CommandEntry(
         ".export_command:ExportCommand",
         "Export a scene or an object to a format or for a simulator, and list what is lost.",

@@ -38,6 +38,8 @@ class SceneContacts:
     """The contacts of a scene as a function of normal numbers, as in `Draws.normals`."""
 
     scene: CompiledScene
+    sizes: bool = True
+    """If False, sizes do not vary."""
 
     def kept(self, draws: Draws) -> Draws:
         """Return draws whose objects do not overlap, and stay over their supports.
@@ -87,8 +89,11 @@ class SceneContacts:
 
     @cached_property
     def factor(self) -> Float[np.ndarray, "value normal"]:
-        """Matrix of `pose_factor`."""
-        return pose_factor(self.scene.spec)
+        """Matrix of `pose_factor`, whose rows of sizes are zero if these do not vary."""
+        factor = pose_factor(self.scene.spec).copy()
+        if not self.sizes:
+            factor[CAMERA + EACH - 1 :: EACH] = 0.0
+        return factor
 
     @cached_property
     def to_unknowns(self) -> Float[np.ndarray, "u normal"]:

@@ -1,9 +1,10 @@
-"""Scenes with actuators: their actions, observed joints and initial states.
+"""Scenes with actuators: their actions, observations and initial states.
 
-A gripper may start in front of a handle, with one finger on each side of the handle.
+A free gripper may start in front of a handle, with one finger on each side of the handle; a robot
+stands where it is mounted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,9 +26,13 @@ from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
 from ..physics.posterior import openings, pose_factor
-from ..spec import SceneObject, SceneSpec, link_poses, read_scene, world_poses
+from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
-from ..spec.pose import from_matrix, rotate
+from ..spec.pose import Pose, from_matrix, rotate
+from .arm import Arm, Control, SceneState, compiled_arm
+from .robot_model import attach_robot, read_robot
+from .robots import PREFIX as ROBOT
+from .robots import TOOL, Mount, Robot, find_robot
 
 AWAY_M = 0.10
 """Initial distance of a gripper from a handle [m]."""
@@ -49,6 +54,18 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
     Raises:
         SpecError: the scene has no handle with this name.
     """
+    at = facing_pose(scene, name)
+    x, y, z = (float(v) for v in at.apply((0.0, 0.0, -AWAY_M)))
+    w, i, j, k = (float(v) for v in at.quat)
+    return Gripper((x, y, z), (w, i, j, k), OPENING_M)
+
+
+def facing_pose(scene: SceneSpec, name: str) -> Pose:
+    """Return the pose of a tool at a handle that points against the handle's opening direction.
+
+    Raises:
+        SpecError: the scene has no handle with this name.
+    """
     by_name = handles(scene)
     if name not in by_name:
         raise SpecError(f"scene {scene.name}: handle: {choices(name, sorted(by_name))}")
@@ -63,13 +80,13 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
         if np.linalg.norm(opens) < 1e-6:
             opens = np.array(joint.axis)
     opens = opens / np.linalg.norm(opens)
+    middle = np.mean(bounds(item.spec), axis=0)
+    if joint.type == "prismatic" and opens @ (np.array(frame.pos) - middle) < 0:
+        opens = -opens  # A button moves inward, and is pressed from outside.
     across = _across(opens, np.array(frame.half))
     local_axes = np.column_stack([np.cross(across, -opens), across, -opens])
     axes = np.column_stack([rotate(world.quat, column) for column in local_axes.T])
-    start = point + AWAY_M * rotate(world.quat, opens)
-    x, y, z = (float(v) for v in start)
-    w, i, j, k = (float(v) for v in from_matrix(axes))
-    return Gripper((x, y, z), (w, i, j, k), OPENING_M)
+    return Pose(point, from_matrix(axes))
 
 
 def _across(opens: NDArray, half: NDArray) -> NDArray:
@@ -118,15 +135,16 @@ class InitialState(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlledScene:
-    """Scene whose joints have drives, to which a gripper is added, or both."""
+    """Scene whose joints have drives, to which a gripper or a robot is added, or both."""
 
     scene: SceneModel
     model: mujoco.MjModel
     initial_qpos: NDArray
     """Initial qpos of the model, without reset noise, shape [nq]."""
     drives: tuple[Drive, ...]
-    """Drives, in the order of their targets in an action; the gripper's seven targets follow."""
+    """Drives, in the order of their targets in an action; those of the gripper or robot follow."""
     gripper: Gripper | None
+    arm: Arm | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -146,7 +164,8 @@ class ControlledScene:
         return tuple(
             joint.name
             for joint in joints
-            if int(joint.type[0]) in kinds and not joint.name.startswith(f"{PREFIX}-")
+            if int(joint.type[0]) in kinds
+            and not joint.name.startswith((f"{PREFIX}-", f"{ROBOT}-"))
         )
 
     @cached_property
@@ -177,27 +196,106 @@ class ControlledScene:
         if self.gripper is not None:
             ranges += [(-REACH_M, REACH_M)] * 3 + [(-np.pi, np.pi)] * 3 + [(0.0, OPENING_M)]
         low, high = np.array(ranges, np.float32).reshape(-1, 2).T
+        if self.arm is not None:
+            bounds = self.arm.action_bounds
+            low, high = (np.append(a, b) for a, b in zip((low, high), bounds, strict=True))
         return low, high
 
     @cached_property
     def hold_action(self) -> NDArray:
         """Action whose targets are the initial state without reset noise, shape [action]."""
         tail = [] if self.gripper is None else [0.0] * 6 + [self.gripper.opening]
-        return np.array([drive.target for drive in self.drives] + tail, np.float32)
+        own = np.array([drive.target for drive in self.drives] + tail, np.float32)
+        return own if self.arm is None else np.append(own, self.arm.hold_action)
 
-    def controls(self, action: Any, xp: Any = np) -> Any:
+    @cached_property
+    def initial_ctrl(self) -> NDArray:
+        """Controls that hold the initial state without reset noise, shape [nu]."""
+        ctrl = np.zeros(self.model.nu)
+        ctrl[: len(self.drives)] = [drive.target for drive in self.drives]
+        if self.arm is not None:
+            self.arm.initial_controls(ctrl)
+        elif self.gripper is not None:
+            ctrl[-2:] = self.gripper.opening / 2
+        return ctrl
+
+    def controls(self, action: Any, state: SceneState, xp: Any = np) -> Any:
         """Clip an action to its bounds and convert it to actuator targets, shape [nu].
 
         Args:
-            action: targets of the drives, then the seven targets of the gripper, shape [action].
+            action: targets of the drives, then the seven targets of the gripper, or the action of
+                the robot (`Arm.controls`), shape [action].
+            state: the present state, without a batch axis.
             xp: `numpy`, or `jax.numpy` for traced arrays.
         """
         low, high = self.action_bounds
         a = xp.clip(action, low, high)
+        if self.arm is not None:
+            count = len(self.drives)
+            joints, grip = self.arm.controls(a[count:], state, xp)
+            order = np.concatenate([self.arm.actuators, self.arm.grip_actuators])
+            return xp.concatenate([a[:count], xp.concatenate([joints, grip])[np.argsort(order)]])
         if self.gripper is None:
             return a
         half = xp.where(a[-1] > 0, a[-1] / 2, CLOSED_M)
         return xp.concatenate([a[:-1], half[None], half[None]])
+
+    @cached_property
+    def initial_root(self) -> tuple[NDArray, NDArray]:
+        """Pose of the robot's first body as it was mounted."""
+        body = int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
+        return self.model.body_pos[body].copy(), self.model.body_quat[body].copy()
+
+    def tool(self, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
+        """Return the position [3] m and orientation [4] of the tool of the gripper or robot.
+
+        Its z axis points out of the palm, and its fingers close along y.
+        """
+        if self.arm is not None:
+            return self.arm.tool(state, xp)
+        if self.gripper is None:
+            raise SpecError(f"scene {self.scene.spec.name} has no gripper and no robot")
+        hand = self.model.body(f"{PREFIX}-hand").id
+        return state.xpos[hand], state.xquat[hand]
+
+    def opening(self, state: SceneState, xp: Any = np) -> Any:
+        """Return how far the fingers of the gripper or robot are open, from 0 to 1."""
+        if self.arm is not None:
+            return self.arm.opening(state, xp)
+        return xp.sum(state.qpos[self.qpos_of_fingers]) / OPENING_M
+
+    def observe(self, state: SceneState, xp: Any = np) -> dict[str, Any]:
+        """Return the observations of a state, in float32.
+
+        - poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
+        - joints, joint_velocities [joint]: positions [rad or m] and velocities [rad/s or m/s];
+        - gripper [8], with a gripper or a robot: pose of the tool, and the distance between the
+          pads [m], of a robot the share from 0 to 1 to which its fingers are open;
+        - robot_joints, robot_velocities, robot_targets [arm], with a robot: positions, velocities,
+          and the targets relative to the positions [rad or m].
+        """
+        result = {
+            "poses": xp.concatenate([state.xpos[self.bodies], state.xquat[self.bodies]], axis=1),
+            "joints": state.qpos[self.qpos_of_joints],
+            "joint_velocities": state.qvel[self.dof_of_joints],
+        }
+        arm = self.arm
+        if arm is not None:
+            here = state.qpos[arm.qpos]
+            result["robot_joints"], result["robot_velocities"] = here, state.qvel[arm.dof]
+            result["robot_targets"] = state.ctrl[arm.actuators] * arm.gains - here
+            tool = [*self.tool(state, xp), arm.opening(state, xp)[None]]
+            result["gripper"] = xp.concatenate(tool)
+        elif self.gripper is not None:
+            wide = xp.sum(state.qpos[self.qpos_of_fingers])
+            result["gripper"] = xp.concatenate([*self.tool(state, xp), wide[None]])
+        return {name: value.astype(np.float32) for name, value in result.items()}
+
+    @cached_property
+    def qpos_of_fingers(self) -> NDArray:
+        """Indices of the gripper's fingers in qpos, shape [2]."""
+        sides = ("left", "right")
+        return np.array([self.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in sides])
 
     def reset_state(self, key: Array, noise: ResetNoise) -> InitialState:
         """Sample the initial state of an episode. JAX can trace this method.
@@ -241,8 +339,13 @@ def controlled_scene(
     run: Path | str | SceneSpec,
     *,
     gripper: Gripper | str | None = None,
+    robot: Robot | Path | str | None = None,
+    mount: Mount | None = None,
+    control: Control = "tool",
     drive_joints: bool | None = None,
     mjx: bool = False,
+    links: bool = True,
+    visual: bool = False,
 ) -> ControlledScene:
     """Compile a scene with actuators.
 
@@ -250,36 +353,50 @@ def controlled_scene(
         run: a run folder, a scene.json or a scene.
         gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
             that the gripper faces. If None, no gripper is added.
+        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
+        mount: pose of the robot's base.
+        control: what an action of the robot moves; see `Arm.controls`.
         drive_joints: if True, add position actuators to the joints. If None, add them only if there
-            is no gripper, because position actuators resist the gripper's pull.
+            is no gripper or robot, because position actuators resist a pull.
         mjx: if True, compile a model that `mjx_step` can simulate.
+        links: if False, only the hand and the fingers of the robot collide.
+        visual: if True, add geoms that do not collide, for pictures.
 
     Raises:
-        SpecError: there is no scene, the handle does not exist, there is nothing to actuate, or an
-            object has the name of the gripper.
+        SpecError: there is no scene, the handle or the robot does not exist, there is nothing to
+            actuate, or an object has the name of the gripper or robot.
     """
     spec = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     timestep = 0.004 if mjx else 0.002
     compiled = compile_scene(spec, timestep=timestep)
-    if any(item.name == PREFIX for item in spec.objects):
-        raise SpecError(
-            f"scene {spec.name}: an object has the name {PREFIX}, which the gripper needs"
-        )
-    model = to_mjspec(spec, timestep=timestep)
+    for item in spec.objects:
+        if item.name in (PREFIX, ROBOT):
+            raise SpecError(
+                f"scene {spec.name}: an object has the name {item.name}, which the gripper needs"
+            )
+    if robot is not None and gripper is not None:
+        raise SpecError("give a gripper or a robot, not both")
+    model = to_mjspec(spec, visual=visual, timestep=timestep)
     for key in list(model.keys):
         model.delete(key)
     if not mjx:
         model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.option.impratio = IMPRATIO
     hand = facing(spec, gripper) if isinstance(gripper, str) else gripper
-    driven = drive_joints if drive_joints is not None else hand is None
+    driven = drive_joints if drive_joints is not None else hand is None and robot is None
     scene_drives = drives(spec) if driven else ()
     for drive in scene_drives:
         _add_actuator(model, drive)
     if hand is not None:
         attach_gripper(model, hand, mjx=mjx)
-    if not scene_drives and hand is None:
-        raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper")
+    parts = None
+    if robot is not None:
+        if mount is None:
+            raise SpecError("a robot needs a mount, such as nw.Mount((x, y, z), yaw)")
+        parts = read_robot(find_robot(robot), visual=visual, links=links, mjx=mjx)
+        attach_robot(model, parts, mount)
+    if not scene_drives and hand is None and parts is None:
+        raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper or a robot")
     mjm = model.compile()
     qpos = np.array(mjm.qpos0, float)
     scene_start = np.asarray(compiled.static.start, float)
@@ -287,7 +404,13 @@ def controlled_scene(
     if hand is not None:
         for side in ("left", "right"):
             qpos[mjm.joint(f"{PREFIX}-{side}").qposadr[0]] = hand.opening / 2
-    return ControlledScene(compiled, mjm, qpos, scene_drives, hand)
+    arm = None
+    if parts is not None and mount is not None:
+        arm = compiled_arm(mjm, parts, mount, control)
+        if mount.home:
+            arm = replace(arm, home=arm.checked_home(mount.home))
+        qpos[arm.qpos], qpos[arm.fingers] = arm.home, arm.opened
+    return ControlledScene(compiled, mjm, qpos, scene_drives, hand, arm)
 
 
 def _add_actuator(model: mujoco.MjSpec, drive: Drive) -> None:

@@ -11,11 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError
-from ..physics.gripper import PREFIX, Gripper
+from ..physics.gripper import Gripper
 from ..render import render_scene
-from ..spec import SceneSpec
+from ..spec import SceneSpec, read_scene
 from ..spec.pose import conjugate, from_yaw, quat_mul, yaw_of
+from .arm import Control, copied, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
+from .mjx_environment import with_four_arguments
+from .reach import propose_mount
+from .robots import Mount, Robot
+from .task import SceneTask, Task
+from .task_words import task_of
 
 try:
     import gymnasium
@@ -33,7 +39,8 @@ Observation = dict[str, NDArray]
 - gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m];
 - picture [height, width, 3], if images are requested.
 """
-Reward = Callable[[Observation], float]
+Reward = Callable[..., float]
+"""Function of the observation, or of (observation, action, state, previous state)."""
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
@@ -50,6 +57,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         controlled: ControlledScene,
         *,
         reward: Reward | None,
+        task: SceneTask | None,
         noise: ResetNoise,
         picture: tuple[int, int] | None,
         control_s: float,
@@ -59,19 +67,18 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self.model = copy.copy(controlled.model)
         self.data = mujoco.MjData(self.model)
         self.render_mode = "rgb_array"
-        self._reward, self._noise, self._picture = reward, noise, picture
+        self._task = task
+        reward = task.reward if reward is None and task is not None else reward
+        self._reward = None if reward is None else with_four_arguments(reward)
+        self._noise, self._picture = noise, picture
         self._substeps = max(round(control_s / self.model.opt.timestep), 1)
         self._horizon, self._steps = horizon, 0
         low, high = controlled.action_bounds
         self.action_space = spaces.Box(low, high, dtype=np.float32)
-        count = len(controlled.joints)
+        start = scene_state(self.data)
         space: dict[str, spaces.Space[Any]] = {
-            "poses": _unbounded(len(controlled.names), 7),
-            "joints": _unbounded(count),
-            "joint_velocities": _unbounded(count),
+            name: _unbounded(*value.shape) for name, value in controlled.observe(start).items()
         }
-        if controlled.gripper is not None:
-            space["gripper"] = _unbounded(8)
         if picture is not None:
             space["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
         # The declared type of Gymnasium is invariant.
@@ -89,22 +96,31 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
             start, pos, quat = self.controlled.reset_state(key, self._noise)
             self.model.body_pos[:], self.model.body_quat[:] = pos, quat
         self.data.qpos[:] = start
-        self.data.ctrl[:] = self.controlled.controls(self.controlled.hold_action)
+        self.data.ctrl[:] = self.controlled.initial_ctrl
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}
 
     def step(self, action: NDArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply an action, clipped to its bounds, for one control interval."""
-        self.data.ctrl[:] = self.controlled.controls(np.asarray(action, np.float32))
+        action = np.asarray(action, np.float32)
+        previous = copied(scene_state(self.data))
+        self.data.ctrl[:] = self.controlled.controls(action, previous)
         mujoco.mj_step(self.model, self.data, self._substeps)
+        mujoco.mj_kinematics(self.model, self.data)  # Poses of bodies lag one time step behind.
         self._steps += 1
         # If the state is not finite, MuJoCo resets it and counts a warning.
         diverged = bool(self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number)
         diverged = diverged or not np.isfinite(self.data.qpos).all()
-        observation = self._observe()
-        reward = 0.0 if self._reward is None else float(self._reward(observation))
-        return observation, reward, diverged, self._steps >= self._horizon, {"diverged": diverged}
+        observation, state = self._observe(), scene_state(self.data)
+        reward = 0.0
+        if self._reward is not None and not diverged:
+            reward = float(self._reward(observation, action, state, previous))
+        info: dict[str, Any] = {"diverged": diverged}
+        if self._task is not None and not diverged:
+            info["success"] = bool(self._task.success(state))
+            info["progress"] = float(self._task.progress(state))
+        return observation, reward, diverged, self._steps >= self._horizon, info
 
     def render(self) -> NDArray:
         """Return an image of the current state, without the gripper, shape [height, width, 3]."""
@@ -137,18 +153,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return self.data.qpos[self.controlled.qpos_of_joints]
 
     def _observe(self) -> Observation:
-        scene = self.controlled
-        bodies = scene.bodies
-        poses = np.concatenate([self.data.xpos[bodies], self.data.xquat[bodies]], axis=1)
-        result = {
-            "poses": poses.astype(np.float32),
-            "joints": self._joints().astype(np.float32),
-            "joint_velocities": self.data.qvel[scene.dof_of_joints].astype(np.float32),
-        }
-        if scene.gripper is not None:
-            hand = self.data.body(f"{PREFIX}-hand")
-            fingers = [float(self.data.joint(f"{PREFIX}-{s}").qpos[0]) for s in ("left", "right")]
-            result["gripper"] = np.array([*hand.xpos, *hand.xquat, sum(fingers)], np.float32)
+        result = self.controlled.observe(scene_state(self.data))
         if self._picture is not None:
             result["picture"] = self.render()
         return result
@@ -162,6 +167,10 @@ def gym_env(
     run: Path | str | SceneSpec,
     *,
     gripper: Gripper | str | None = None,
+    robot: Robot | Path | str | None = None,
+    mount: Mount | None = None,
+    control: Control = "tool",
+    task: Task | str | None = None,
     drive_joints: bool | None = None,
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
@@ -175,9 +184,15 @@ def gym_env(
         run: the folder, file or scene.
         gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
             that the gripper faces. If None, there is no gripper.
+        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
+        mount: pose of the robot's base; if None, one from which the robot reaches the task.
+        control: what an action of the robot moves; see `Arm.controls`.
+        task: a task, or a sentence such as "open the top drawer". It gives the initial state, the
+            reward, and `success` and `progress` in the info of each step.
         drive_joints: if True, actions include targets of the joints. If None, they do so only if
-            there is no gripper.
-        reward: function that maps an observation to the reward; if None, the reward is 0.
+            there is no gripper or robot.
+        reward: function of the observation, or of (observation, action, state, previous state); if
+            None, the reward is that of the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
         picture: height and width of the images in observations [px]; rendering an image takes about
             a second. If None, observations contain no image.
@@ -185,13 +200,29 @@ def gym_env(
         horizon: number of steps after which an episode is truncated.
 
     Raises:
-        SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
+        SpecError: there is no scene, the handle or the robot does not exist, there is nothing to
+            actuate, or the robot reaches the task from nowhere.
         EngineError: gymnasium is not installed.
     """
-    controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints)
+    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    if isinstance(task, str):
+        task = task_of(scene, task)
+    if task is not None:
+        scene = task.scene
+        if robot is not None and mount is None:
+            mount = propose_mount(task, robot)
+    controlled = controlled_scene(
+        scene,
+        gripper=gripper,
+        robot=robot,
+        mount=mount,
+        control=control,
+        drive_joints=drive_joints,
+    )
     return SceneEnv(
         controlled,
         reward=reward,
+        task=None if task is None else task.on(controlled),
         noise=noise or ResetNoise(),
         picture=picture,
         control_s=control_s,

@@ -1,43 +1,52 @@
-"""Environment of a scene for `jax.vmap`, with the interface of MuJoCo Playground."""
+"""Environment of a scene for `jax.vmap`, with the interface of MuJoCo Playground.
 
+The same pure functions run on C MuJoCo (in threads), MuJoCo Warp and MJX; see `engines`.
+"""
+
+import inspect
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
-from mujoco import mjx
 
-from ..physics.gripper import PREFIX, Gripper
-from ..physics.mjx_model import MjxModel, make_data, mjx_step, put_compiled, with_fields
+from ..errors import SpecError
+from ..physics.gripper import Gripper
 from ..spec import SceneSpec
+from .arm import Control, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
+from .engines import WorldState, choose_engine, initial_world, open_steps
+from .randomization import Variants
+from .robots import Mount, Robot
 
 Observation = dict[str, Array]
-"""Observations by name:
+"""Observations by name; see `ControlledScene.observe`."""
+Reward = Callable[..., Float[Array, ""]]
+"""Function of the observation, or of (observation, action, state, previous), where the last two are
+each a `SceneState`."""
+WORLDS = 4096
+"""Number of worlds for which warp allocates memory, unless stated."""
 
-- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
-- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
-- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m].
-"""
-Reward = Callable[[Observation], Float[Array, ""]]
+
+FASTEST, FARTHEST = 1e3, 1e3
+"""Velocities [m/s or rad/s] and positions [m or rad] from which a simulation has diverged."""
 
 
 class EnvState(eqx.Module):
     """State of one environment, with the field names of MuJoCo Playground."""
 
-    data: mjx.Data
+    data: WorldState
     obs: Observation
     reward: Float[Array, ""]
     done: Float[Array, ""]
     """1 if the simulation has diverged, otherwise 0."""
     metrics: dict[str, Array]
     info: dict[str, Array]
-    """The entry `step` is the number of steps since the last reset. With `ResetNoise.photo`,
-    `body_pos` and `body_quat` are the poses of bodies in their parents, in which fixed objects
-    differ."""
+    """`step`: number of steps since the last reset; `sample`: row of the variants; `body_pos` and
+    `body_quat`, with `ResetNoise.photo`: poses of bodies in their parents."""
 
 
 class MjxEnv:
@@ -47,79 +56,125 @@ class MjxEnv:
         self,
         controlled: ControlledScene,
         *,
-        reward: Reward | None,
-        noise: ResetNoise,
-        control_s: float,
+        reward: Reward | None = None,
+        noise: ResetNoise | None = None,
+        variants: Variants | None = None,
+        engine: str | None = None,
+        worlds: int = WORLDS,
+        control_s: float = 0.02,
     ) -> None:
         self.controlled = controlled
-        self.mjx_model: MjxModel = put_compiled(controlled.model, controlled.initial_qpos)
-        self._data = make_data(self.mjx_model)
-        self._reward, self._noise = reward, noise
+        self._reward = None if reward is None else with_four_arguments(reward)
+        self._noise, self._variants = noise or ResetNoise(), variants
+        if variants is not None and self._noise != ResetNoise():
+            raise SpecError("an environment takes samples or noise, not both")
+        self.steps = open_steps(controlled, engine or choose_engine(), worlds)
+        self.control_s = control_s
         self.n_substeps = max(round(control_s / controlled.model.opt.timestep), 1)
 
     @property
+    def engine(self) -> str:
+        """Name of the engine."""
+        return self.steps.name
+
+    @property
     def action_size(self) -> int:
-        """Length of an action: the drives' targets, followed by the gripper's seven targets."""
+        """Length of an action."""
         return len(self.controlled.hold_action)
 
     def reset(self, key: Array) -> EnvState:
-        """Start an episode, with noise that depends on a random key. JAX can trace this method."""
+        """Start an episode, in a random one of the variants or with noise.
+
+        JAX can trace this method.
+        """
+        if self._variants is not None:
+            return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
         qpos, pos, quat = self.controlled.reset_state(key, self._noise)
-        hold = self.controlled.controls(self.controlled.hold_action, jnp)
-        data = jax.tree.map(jnp.asarray, self._data).replace(qpos=qpos, ctrl=hold)
-        info = {"step": jnp.zeros((), jnp.int32)}
-        if self._noise.photo and len(self.controlled.fixed):
-            info |= {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
-        return self._state(mjx.kinematics(self._model(info).mjx, data), info)
+        moved = self._noise.photo and len(self.controlled.fixed)
+        fields = {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
+        return self._start(jnp.asarray(qpos), fields if moved else {})
+
+    def reset_to(self, row: Array) -> EnvState:
+        """Start an episode in one of the variants. JAX can trace this method."""
+        if self._variants is None:
+            raise SpecError("the environment has no variants")
+        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row})
+
+    def _start(self, qpos: Array, own: dict[str, Array]) -> EnvState:
+        info = {"step": jnp.zeros((), jnp.int32), **own}
+        start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
+        world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
+        return self._state(world, world, jnp.zeros(self.action_size), info)
 
     def step(self, state: EnvState, action: Float[Array, " action"]) -> EnvState:
         """Apply an action, clipped to its bounds, for one control interval.
 
         JAX can trace this method.
         """
-        data = state.data.replace(ctrl=self.controlled.controls(action, jnp))
-        model = self._model(state.info)
-        data = mjx_step(model, data, self.n_substeps)
-        # Body poses in the data lag one time step behind qpos.
-        data = mjx.kinematics(model.mjx, data)
-        return self._state(data, state.info | {"step": state.info["step"] + 1})
+        ctrl = self.controlled.controls(action, scene_state(state.data), jnp)
+        world = self.steps.step(self._fields(state.info), state.data, ctrl, self.n_substeps)
+        info = state.info | {"step": state.info["step"] + 1}
+        return self._state(world, state.data, action, info)
 
-    def _model(self, info: dict[str, Array]) -> MjxModel:
-        """Return the model in which fixed objects have the poses of the episode."""
-        fields = {name: info[name] for name in ("body_pos", "body_quat") if name in info}
-        return with_fields(self.mjx_model, fields) if fields else self.mjx_model
+    def _fields(self, info: dict[str, Array]) -> dict[str, Array]:
+        """Return the model fields in which this episode differs."""
+        if self._variants is not None:
+            row = info["sample"]
+            return {k: jnp.asarray(v)[row] for k, v in self._variants.fields.items()}
+        return {name: info[name] for name in ("body_pos", "body_quat") if name in info}
 
-    def _state(self, data: mjx.Data, info: dict[str, Array]) -> EnvState:
-        obs = self._observe(data)
-        done = jnp.any(~jnp.isfinite(data.qpos)).astype(jnp.float32)
-        reward = jnp.zeros(()) if self._reward is None else jnp.asarray(self._reward(obs))
-        return EnvState(data, obs, reward, done, {}, info)
+    def _state(
+        self, world: WorldState, previous: WorldState, action: Array, info: dict[str, Array]
+    ) -> EnvState:
+        obs = self.controlled.observe(scene_state(world), jnp)
+        whole = world.xpos, world.xquat, world.qacc_warmstart
+        finite = jnp.all(jnp.abs(world.qvel) < FASTEST) & jnp.all(jnp.abs(world.qpos) < FARTHEST)
+        for values in whole:
+            finite &= jnp.all(jnp.isfinite(values))
+        reward = jnp.zeros(())
+        if self._reward is not None:
+            now, before = scene_state(world), scene_state(previous)
+            reward = jnp.asarray(self._reward(obs, action, now, before), jnp.float32)
+        done = 1.0 - finite.astype(jnp.float32)
+        return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, {}, info)
 
-    def _observe(self, data: mjx.Data) -> Observation:
-        scene = self.controlled
-        result = {
-            "poses": jnp.concatenate([data.xpos[scene.bodies], data.xquat[scene.bodies]], axis=1),
-            "joints": data.qpos[scene.qpos_of_joints],
-            "joint_velocities": data.qvel[scene.dof_of_joints],
-        }
-        if scene.gripper is not None:
-            hand = scene.model.body(f"{PREFIX}-hand").id
-            fingers = np.array(
-                [scene.model.joint(f"{PREFIX}-{side}").qposadr[0] for side in ("left", "right")]
-            )
-            wide = jnp.sum(data.qpos[fingers])[None]
-            result["gripper"] = jnp.concatenate([data.xpos[hand], data.xquat[hand], wide])
-        return result
+
+def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, Any], Any]:
+    """Return a reward of (observation, action, state, previous); it may take only the first.
+
+    Raises:
+        SpecError: the function takes neither one nor four arguments.
+    """
+    try:
+        signature = inspect.signature(reward)
+    except (TypeError, ValueError):  # a built-in function
+        return lambda obs, action, state, previous: reward(obs)
+    for count in (4, 1):
+        try:
+            signature.bind(*range(count))
+        except TypeError:
+            continue
+        return reward if count == 4 else lambda obs, action, state, previous: reward(obs)
+    raise SpecError(
+        f"reward: takes {signature}; it must take the observation, or (observation, action, "
+        "state, previous)"
+    )
 
 
 def mjx_env(
     run: Path | str | SceneSpec,
     *,
     gripper: Gripper | str | None = None,
+    robot: Robot | Path | str | None = None,
+    mount: Mount | None = None,
+    control: Control = "tool",
     drive_joints: bool | None = None,
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
+    variants: Variants | None = None,
     control_s: float = 0.02,
+    engine: str | None = None,
+    worlds: int = WORLDS,
 ) -> MjxEnv:
     """Return an environment of a run folder, a scene.json or a scene, for use with `jax.vmap`.
 
@@ -127,16 +182,40 @@ def mjx_env(
         run: the folder, file or scene.
         gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
             that the gripper faces. If None, there is no gripper.
+        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
+        mount: pose of the robot's base.
+        control: what an action of the robot moves; see `Arm.controls`.
         drive_joints: if True, actions include targets of the joints. If None, they do so only if
-            there is no gripper.
-        reward: function that maps an observation to the reward and that JAX can trace; if None, the
-            reward is 0.
+            there is no gripper or robot.
+        reward: function that JAX can trace, of the observation, or of (observation, action, state,
+            previous state); if None, the reward is 0.
         noise: noise that each reset adds to the scene; if None, no noise.
+        variants: scenes of which each reset takes one, instead of noise; see `variants_of`.
         control_s: duration of each action [s].
+        engine: native (C MuJoCo in threads), warp (MuJoCo Warp on NVIDIA GPUs) or mjx; if None, the
+            fastest of the machine.
+        worlds: largest number of worlds in a batch; only warp needs it.
 
     Raises:
         SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
-        EngineError: MJX cannot simulate the scene.
+        EngineError: the engine cannot run here, or cannot simulate the scene.
     """
-    controlled = controlled_scene(run, gripper=gripper, drive_joints=drive_joints, mjx=True)
-    return MjxEnv(controlled, reward=reward, noise=noise or ResetNoise(), control_s=control_s)
+    name = engine or choose_engine()
+    controlled = controlled_scene(
+        run,
+        gripper=gripper,
+        robot=robot,
+        mount=mount,
+        control=control,
+        drive_joints=drive_joints,
+        mjx=name == "mjx",
+    )
+    return MjxEnv(
+        controlled,
+        reward=reward,
+        noise=noise,
+        variants=variants,
+        engine=name,
+        worlds=worlds,
+        control_s=control_s,
+    )

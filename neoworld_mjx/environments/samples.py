@@ -154,6 +154,7 @@ def sample(
     prior: PhysicalPrior | None = None,
     max_px: float = MAX_PX,
     redraws: int = REDRAWS,
+    sizes: bool = True,
 ) -> SceneSamples:
     """Draw scenes that a photograph allows.
 
@@ -172,6 +173,8 @@ def sample(
             the diagonal of the box, in an image 640 pixels wide.
         redraws: number of times that a refused draw is drawn again. Only the objects that are the
             reason, and those that touch them, are drawn again.
+        sizes: if False, all objects keep their sizes, and draws are not compared with the pixels,
+            where an object that is farther away would have to be larger.
 
     Raises:
         SpecError: there is no scene, or `n` is not positive.
@@ -182,8 +185,8 @@ def sample(
     spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
     o = options or RefineOptions()
     model, rng = compile_scene(spec, timestep=0.002), np.random.default_rng(seed)
-    contacts, touching = SceneContacts(model), _touching(model)
-    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px)
+    contacts, touching = SceneContacts(model, sizes), _touching(model)
+    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px if sizes else math.inf)
     all_draws, refused = settled(draw(model, rng, n, prior)), list[str]()
     for _ in range(redraws):
         rows = np.flatnonzero(all_draws.at_fault.any(axis=1))

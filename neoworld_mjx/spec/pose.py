@@ -84,13 +84,20 @@ def conjugate(quat: ArrayLike) -> NDArray:
     return np.asarray(quat, float) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
-def rotate(quat: ArrayLike, points: ArrayLike) -> NDArray:
-    """Rotate points [..., 3] by quaternions [..., 4]."""
-    q = np.asarray(quat, float)
-    v = np.asarray(points, float)
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * cross(u, v)
-    return v + w * t + cross(u, t)
+def rotate(quat: Any, points: Any, xp: Any = np) -> Any:
+    """Rotate points [..., 3] by quaternions [..., 4].
+
+    Args:
+        quat: quaternions.
+        points: points; leading axes broadcast.
+        xp: `numpy`, which computes in double precision, or `jax.numpy` for traced arrays.
+    """
+    if xp is np:
+        quat, points = np.asarray(quat, float), np.asarray(points, float)
+    w, u = quat[..., :1], quat[..., 1:]
+    product = cross if xp is np else xp.cross
+    t = 2.0 * product(u, points)
+    return points + w * t + product(u, t)
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:

@@ -24,12 +24,12 @@ from neoworld_bench.tasks.model_plans import (
     plan_rows,
     scene_of_method,
 )
-from neoworld_bench.tasks.predicates import Leaning
 from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
 from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import ComposeOptions, MLLMOptions, RefineOptions
+from neoworld_mjx.environments.predicates import Leaning
 from neoworld_mjx.errors import ConfigError, MissingResponseError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.replay import Replay, Tape

@@ -1,5 +1,7 @@
 """Environments of a scene with a drawer and a block: by Gymnasium, and under vmap."""
 
+from pathlib import Path
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -8,34 +10,16 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import neoworld_mjx as nw
+from neoworld_mjx.environments.arm import SceneState
 from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import rotate
 from neoworld_mjx.spec.scene import PoseUncertainty
-from tests.support.mechanisms import WOOD, geom, joint, part, single
+from tests.support.mechanisms import single
 from tests.support.notebooks import run_small
 
-
-@pytest.fixture(scope="module")
-def scene():
-    """A chest with a drawer that has a bar to pull at, and a block on top, half a metre up."""
-    body = part("body", geom("body", Box(size=(0.3, 0.4, 0.1)), (0, 0, 0.05)))
-    drawer = part(
-        "drawer",
-        geom("front", Box(size=(0.02, 0.3, 0.1)), (0.17, 0, 0.2)),
-        geom("handle", Box(size=(0.03, 0.1, 0.01)), (0.2, 0, 0.2)),
-    )
-    slide = joint("slide", "prismatic", "body", "drawer", (0.17, 0, 0.2), (1, 0, 0), upper=0.2,
-                  damping=2.0)  # fmt: skip
-    chest = ObjectSpec(name="chest", materials=(WOOD,), parts=(body, drawer), joints=(slide,))
-    block = single("block", Box(size=(0.05, 0.05, 0.05)), 0.025)
-    return SceneSpec(
-        objects=(
-            SceneObject(name="chest", spec=chest, fixed_base=True, yaw=0.5),
-            SceneObject(name="block", spec=block, parent="chest", z=0.1001, xy=(-0.05, 0)),
-        )
-    )
+ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity.*:UserWarning")
@@ -214,7 +198,29 @@ def test_rendered_images_show_the_current_state(scene):
 @pytest.mark.parametrize(("opening", "finger"), [(0.1, 0.05), (0.03, 0.015), (0.0, -0.02)])
 def test_both_fingers_of_a_gripper_move_half_of_its_opening(scene, opening, finger):
     controlled = controlled_scene(scene, gripper=nw.Gripper((0, 0, 1), opening=0.08))
-    assert controlled.controls(controlled.hold_action)[-2:] == pytest.approx([0.04, 0.04])
+    assert controlled.initial_ctrl[-2:] == pytest.approx([0.04, 0.04])
+    state = SceneState(*[np.zeros(0)] * 5)
+    assert controlled.controls(controlled.hold_action, state)[-2:] == pytest.approx([0.04, 0.04])
     action = controlled.hold_action.copy()
     action[-1] = opening
-    assert controlled.controls(action)[-2:] == pytest.approx([finger, finger])
+    assert controlled.controls(action, state)[-2:] == pytest.approx([finger, finger])
+
+
+def test_a_robot_and_a_task_in_gymnasium(scene):
+    env = nw.gym_env(
+        scene, robot=ARM, mount=nw.Mount((0.9, 0.4, 0.0), -2.6), task="open the drawer", horizon=5
+    )
+    first, _ = env.reset(seed=0)
+    assert env.observation_space.contains(first) and env.action_space.shape == (7,)
+    assert first["robot_joints"].shape == (5,)
+    _, reward, _, _, info = env.step(np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
+    assert 0 < reward < 0.3 and info["progress"] == pytest.approx(0, abs=0.01)
+    assert info["success"] is False
+    own = nw.gym_env(
+        scene,
+        robot=ARM,
+        mount=nw.Mount((0.9, 0.4, 0.0), -2.6),
+        reward=lambda obs, action, state, previous: float(np.abs(state.qpos - previous.qpos).max()),
+    )
+    own.reset(seed=0)
+    assert own.step(np.array([1, 0, 0, 0, 0, 0, 1], np.float32))[1] > 0

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from neoworld_mjx.environments.predicates import Located, Predicate
 from neoworld_mjx.spec import Quat, SceneSpec, Vec3
 from neoworld_mjx.spec.pose import IDENTITY
 
 from .plan_format import TaskPlan
-from .predicates import Located, Predicate
 from .reference import Grasp, grasp_box, pick_and_place
 from .task import Prepared
 from .task_scenes import goal_on, grown, in_other, put, scene_of, size_of

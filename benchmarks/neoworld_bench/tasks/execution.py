@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.spec import SceneSpec
 from neoworld_mjx.spec.pose import quat_mul, rotate
 
 from .plan_format import TaskPlan, ToolMove, rotation
-from .predicates import Predicate
 from .world import TIMESTEP, World, in_start_axes
 
 CONTROL_S = 0.01
@@ -69,7 +69,7 @@ def execute(
     depth, where = world.depth_of_gripper()
     if depth > START_DEPTH_M:
         reason = f"the gripper starts {1000 * depth:.1f} mm deep in {where}"
-        return Outcome(False, reason, predicate.progress(world), 0.0)
+        return Outcome(False, reason, float(predicate.progress(world)), 0.0)
     lag = 0.0
     for targets in _path(plan):
         lag = max(lag, _follow(world, plan, targets))
@@ -107,11 +107,11 @@ def _judge(
         if watch is not None:
             watch(world, float(world.data.time))
         if k >= round(settle / CONTROL_S):
-            counts.append(predicate.holds(world))
+            counts.append(bool(predicate.holds(world)))
     held = float(np.mean(counts))
     success = held == 1.0
     reason = "" if success else f"not so for the last second: {predicate.meaning()}"
-    progress = predicate.progress(world)
+    progress = float(predicate.progress(world))
     return Outcome(success, reason, progress, held, lag, float(world.data.time))
 
 

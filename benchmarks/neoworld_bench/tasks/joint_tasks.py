@@ -1,10 +1,10 @@
 """Opening, closing and turning tasks: a joint of a template's object is moved by its handle."""
 
+from neoworld_mjx.environments.predicates import JointBetween
 from neoworld_mjx.spec import SceneSpec, joint_position
 
 from ..engines.table_scenes import TOP
 from .plan_format import TaskPlan
-from .predicates import JointBetween
 from .reference import Hold, work_joint
 from .task import Prepared
 from .task_scenes import put, scene_of, size_of

@@ -20,6 +20,7 @@ from jaxtyping import UInt8
 from pydantic import BaseModel, ConfigDict, Field
 
 from neoworld_mjx.config import CEMOptions
+from neoworld_mjx.environments.predicates import Predicate, named_objects
 from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
@@ -36,7 +37,6 @@ from ..noise.parse_noise import NoiseLog
 from ..rows import Row
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
-from .predicates import Predicate, named_objects
 from .success_runs import TRUTH, described, planned_there
 from .task import ManipulationTask
 from .task_scenes import TaskPhoto, photographed_task

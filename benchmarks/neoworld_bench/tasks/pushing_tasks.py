@@ -5,13 +5,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from neoworld_mjx.environments.predicates import Every, Leaning, Located, Predicate
 from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import Pose, conjugate, rotate
 from neoworld_mjx.templates.template import Value
 
 from .carrying_tasks import PLACED
 from .plan_format import TaskPlan
-from .predicates import Every, Leaning, Located, Predicate
 from .reference import push
 from .task import Prepared
 from .task_scenes import GAP, grown, put, scene_of

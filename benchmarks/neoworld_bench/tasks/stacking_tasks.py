@@ -2,6 +2,7 @@
 
 import math
 
+from neoworld_mjx.environments.predicates import Every, Located
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import Pose, from_yaw, pose
 from neoworld_mjx.templates.template import Value
@@ -9,7 +10,6 @@ from neoworld_mjx.templates.template import Value
 from ..engines.table_scenes import TOP
 from .carrying_tasks import PLACED, carry, grasp_in, located
 from .plan_format import TaskPlan
-from .predicates import Every, Located
 from .reference import grasp_box, pick_and_place
 from .task import Prepared
 from .task_scenes import grown, put, scene_of

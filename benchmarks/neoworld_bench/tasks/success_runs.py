@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.measure import measured
 from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
@@ -25,7 +26,6 @@ from ..rows import RowStore
 from .catalogue import find_task
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
-from .predicates import Predicate
 from .task import ManipulationTask
 from .task_scenes import TaskPhoto, photographed_task
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
+from neoworld_mjx.environments.predicates import Every, Located, Predicate
 from neoworld_mjx.spec import SceneSpec
 
 from .plan_format import TaskPlan
-from .predicates import Every, Located, Predicate
 from .task_scenes import in_other
 
 TaskKind = Literal[

@@ -28,7 +28,7 @@ class World:
     GRIPPER: ClassVar[str] = PREFIX
 
     def __init__(self, scene: SceneSpec, plan: TaskPlan | None, *, visual: bool = False) -> None:
-        self.scene = scene
+        self.scene, self.xp = scene, np
         self.model = _compile(scene, plan, visual)
         self.data = mujoco.MjData(self.model)
         start = _start(scene)
@@ -76,14 +76,24 @@ class World:
         body = self.data.body(f"{PREFIX}-hand")
         return Pose(body.xpos.copy(), body.xquat.copy())
 
-    def at_rest(self, name: str, linear: float, angular: float) -> bool:
-        """True if an object's root moves by less than these [m/s], [rad/s]."""
+    def tool_position(self) -> NDArray:
+        """Return the position of the tool [m]."""
+        return self.tool().pos
+
+    def speed(self, name: str) -> tuple[float, float]:
+        """Return the speeds of an object's root [m/s], [rad/s]."""
         velocity = np.zeros(6)
         body = self.model.body(name).id
         mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
-        return bool(
-            np.linalg.norm(velocity[3:]) <= linear and np.linalg.norm(velocity[:3]) <= angular
-        )
+        return float(np.linalg.norm(velocity[3:])), float(np.linalg.norm(velocity[:3]))
+
+    def touches(self, name: str, other: str) -> np.bool_:
+        """Return True if two objects touch."""
+        return np.bool_(other in self.touched(name))
+
+    def held(self, name: str) -> np.bool_:
+        """Return True if the gripper touches an object."""
+        return self.touches(name, self.GRIPPER)
 
     def touched(self, name: str) -> set[str]:
         """Return the objects, and the gripper, that an object touches."""

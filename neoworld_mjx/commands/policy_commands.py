@@ -1,0 +1,181 @@
+"""Commands `train`, `evaluate` and `play`: policies of robots in a scene."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from .base_command import Command, CommandResult
+
+if TYPE_CHECKING:
+    from ..environments.policy import Setting
+    from ..spec import SceneSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand(Command):
+    """Train a policy in a scene: a robot or a flying gripper that does a task.
+
+    Every episode starts in another scene that the photograph allows. The folder gets the policy, a
+    checkpoint, and the learning curve.
+    """
+
+    target: Positional[Path]
+    """A run folder or a scene.json."""
+    task: str
+    """Kind and names, such as "open cabinet-drawer_top 0.8" or "place mug shelf"."""
+    robot: str | None = None
+    """panda, so101, ur5e or an MJCF file; without it a gripper flies."""
+    mount: tuple[float, float, float, float] | None = None
+    """Position [m] and yaw [rad] of the robot's base; proposed if not given."""
+    out: Annotated[Path | None, arg(aliases=("-o",))] = None
+    """Folder of the policy. Default: policy, in the run folder."""
+    steps: int = 20_000_000
+    """Control steps of all worlds."""
+    minutes: float | None = None
+    """Largest duration, without compiling."""
+    worlds: int | None = None
+    """Number of worlds. Default: 2048 on warp, 64 on native."""
+    samples: int = 64
+    """Draws of the scene in which episodes start; 0 for the scene itself."""
+    seed: int = 0
+    """Random seed."""
+    engine: str | None = None
+    """native, warp or mjx. Default: the fastest of the machine."""
+    horizon: int | None = None
+    """Actions of an episode. Default: that of the task."""
+    resume: bool = False
+    """Continue from the checkpoint in the folder."""
+
+    def run(self) -> CommandResult:
+        """Train."""
+        from dataclasses import replace
+
+        from ..environments.engines import choose_engine
+        from ..environments.training import CURVE, POLICY, Training, default_options, train
+        from ..errors import RunError
+        from ..spec import read_scene
+
+        scene = read_scene(self.target)
+        folder = self.target if self.target.is_dir() else self.target.parent
+        out = self.out or folder / "policy"
+        if not self.resume and (out / POLICY).exists():
+            raise RunError(f"{out} has a policy: pass --resume, or name another folder with --out")
+        engine = self.engine or choose_engine()
+        options = default_options(engine)
+        if self.worlds is not None:
+            options = replace(options, worlds=self.worlds)
+        training = Training(self.steps, self.minutes, self.samples, self.seed, engine)
+        policy = train(
+            scene,
+            _setting(self, scene),
+            out,
+            training=training,
+            options=options,
+            resume=self.resume,
+        )
+        last = (out / CURVE).read_text(encoding="utf-8").splitlines()[-1]
+        return {
+            "policy": str(out / POLICY),
+            "steps": policy.about.steps,
+            "engine": engine,
+            "last": last,
+        }
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return the steps and the file."""
+        return [
+            f"trained for {result['steps']:,} control steps on {result['engine']}",
+            f"wrote {result['policy']}",
+            f"next: neoworld evaluate {result['policy']} {self.target}",
+        ]
+
+
+def _setting(command: TrainCommand, scene: "SceneSpec") -> "Setting":
+    """Return the setting of the flags, with a proposed mount, or a gripper at the handle."""
+    from ..environments.policy import Setting
+    from ..environments.robots import Mount
+    from ..environments.task_words import gripper_of, task_of
+
+    task = task_of(scene, command.task)
+    own: dict[str, Any] = {"task": command.task}
+    default = Setting(**own)
+    own["horizon"] = command.horizon or round(task.horizon * 0.02 / default.control_s)
+    if command.robot is None:
+        return Setting(**own, gripper=gripper_of(task))
+    if command.mount is not None:
+        *pos, yaw = command.mount
+        mount = Mount((pos[0], pos[1], pos[2]), yaw)
+    else:
+        from ..environments.reach import propose_mount
+
+        mount = propose_mount(task, command.robot)
+    return Setting(**own, robot=command.robot, mount=mount)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCommand(Command):
+    """Run a policy in scenes that it has not seen, and count its successes.
+
+    The scenes are draws of what the photograph allows, simulated by C MuJoCo.
+    """
+
+    policy: Positional[Path]
+    """File policy.npz."""
+    target: Positional[Path]
+    """A run folder or a scene.json."""
+    samples: int = 256
+    """Number of draws; 0 for the scene itself."""
+    seed: int = 0
+    """Random seed; its draws are never those of training."""
+
+    def run(self) -> CommandResult:
+        """Evaluate."""
+        from ..environments.evaluation import evaluate
+        from ..environments.policy import read_policy
+
+        outcome = evaluate(
+            read_policy(self.policy), self.target, samples=self.samples, seed=self.seed
+        )
+        low, high = outcome.interval
+        return {
+            "verdict": outcome.phrase(),
+            "rate": outcome.rate,
+            "interval": [low, high],
+            "successes": int(outcome.success.sum()),
+            "n": len(outcome.success),
+            "drawn": outcome.drawn,
+            "progress": [round(float(p), 4) for p in outcome.progress],
+        }
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return the verdict."""
+        return [result["verdict"]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayCommand(Command):
+    """Write a video of a policy in a scene."""
+
+    policy: Positional[Path]
+    """File policy.npz."""
+    target: Positional[Path]
+    """A run folder or a scene.json."""
+    out: Annotated[Path | None, arg(aliases=("-o",))] = None
+    """File .webp or .gif. Default: policy.webp beside the policy."""
+    azimuth: float = 140.0
+    """Direction of the camera's view about the vertical [deg]."""
+
+    def run(self) -> CommandResult:
+        """Simulate and render."""
+        from ..environments.policy import read_policy
+        from ..environments.video import play
+
+        path = self.out or self.policy.with_suffix(".webp")
+        done = play(read_policy(self.policy), self.target, path, azimuth=self.azimuth)
+        return {"video": str(path), "success": done}
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return the file."""
+        return [f"wrote {result['video']} (success: {'yes' if result['success'] else 'no'})"]

@@ -1,0 +1,144 @@
+"""Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..errors import SpecError
+from ..spec import SceneSpec, read_scene
+from .arm import scene_state
+from .mjx_environment import MjxEnv
+from .policy import Policy
+from .policy_environment import PolicyEnv, policy_action, policy_observation
+from .task import SceneTask
+from .training import scene_variants, task_scene
+
+EVALUATION_SEED = 1_000_003
+"""Added to the seed of evaluation, so that its draws are not those of training."""
+
+
+def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
+    """Return the 95 % interval of a success rate (Wilson, 1927)."""
+    if n == 0:
+        return 0.0, 1.0
+    p = successes / n
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Outcome of one episode in each of several scenes."""
+
+    success: Bool[np.ndarray, " n"]
+    """Whether the goal holds at the end of the episode."""
+    progress: Float[np.ndarray, " n"]
+    drawn: int
+    """Number of draws, of which those that stand and agree with the photograph are kept."""
+
+    @property
+    def rate(self) -> float:
+        """Share of the scenes in which the policy succeeds."""
+        return float(np.mean(self.success))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the rate."""
+        return wilson(int(np.sum(self.success)), len(self.success))
+
+    def phrase(self) -> str:
+        """Return one line, such as "succeeds in 61 of 62 scenes: 98 % (91 to 100 %)"."""
+        low, high = self.interval
+        return (
+            f"succeeds in {int(np.sum(self.success))} of {len(self.success)} scenes: "
+            f"{self.rate:.0%} ({low:.0%} to {high:.0%}); mean progress "
+            f"{float(np.mean(self.progress)):.2f}"
+        )
+
+
+def evaluate(
+    policy: Policy, run: Path | str | SceneSpec, *, samples: int = 256, seed: int = 0
+) -> Trials:
+    """Run a policy once in each of the draws of a scene.
+
+    Actions are the most likely ones, and the time step is 2 ms, half of that in training.
+
+    Args:
+        policy: the policy.
+        run: a run folder, a scene.json or a scene.
+        samples: number of draws; 0 evaluates in the scene itself.
+        seed: random seed of the draws, which differ from those of training.
+
+    Raises:
+        SpecError: the policy does not fit the scene, or no draw is kept.
+    """
+    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    setting = policy.about.setting
+    task = task_scene(scene, setting)
+    variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
+    env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
+    policy_env = PolicyEnv(env, task, setting.horizon)
+    count = 1 if variants is None else len(variants)
+    if variants is None:
+        states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(seed), 1))
+    else:
+        states = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(count))
+    check_fit(policy, states.obs.shape[-1], policy_env.action_size)
+    step = jax.jit(jax.vmap(policy_env.step))
+    lost = np.zeros(count, bool)
+    for _ in range(setting.horizon):
+        action = policy.act(np.asarray(states.obs)).astype(np.float32)
+        states = step(states, jnp.asarray(action))
+        lost |= np.asarray(states.done) > 0
+    success = (np.asarray(states.metrics["success"]) > 0) & ~lost
+    progress = np.where(lost, 0.0, np.asarray(states.metrics["progress"]))
+    return Trials(success, progress, samples)
+
+
+def check_fit(policy: Policy, observations: int, actions: int) -> None:
+    """Raise SpecError unless a policy has the sizes of an environment."""
+    own = policy.observation_size, len(policy.actor.log_std)
+    if own != (observations, actions):
+        raise SpecError(
+            f"the policy takes {own[0]} observations and gives {own[1]} actions; the scene has "
+            f"{observations} and {actions}: it was trained in another scene or with another robot"
+        )
+
+
+def episode(
+    policy: Policy, task: SceneTask, qpos: Float[np.ndarray, " nq"] | None = None
+) -> list[mujoco.MjData]:
+    """Return the states of an episode in one scene, one for each action and the first."""
+    controlled, setting = task.controlled, policy.about.setting
+    model = controlled.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = controlled.initial_qpos if qpos is None else qpos
+    data.ctrl[:] = controlled.initial_ctrl
+    mujoco.mj_forward(model, data)
+    steps = max(round(setting.control_s / model.opt.timestep), 1)
+    frames = [_copied(model, data)]
+    for _ in range(setting.horizon):
+        state = scene_state(data)
+        obs = policy_observation(task, state, np)
+        if len(frames) == 1:
+            check_fit(policy, len(obs), len(controlled.hold_action))
+        action = policy_action(controlled, state, policy.act(obs), np)
+        data.ctrl[:] = controlled.controls(np.asarray(action, np.float32), state)
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_kinematics(model, data)
+        frames.append(_copied(model, data))
+    return frames
+
+
+def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    copied = mujoco.MjData(model)
+    copied.qpos[:] = data.qpos
+    mujoco.mj_forward(model, copied)
+    return copied

@@ -1,0 +1,95 @@
+"""A task as a policy sees it: a vector of observations, and actions of about 1 in size."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..spec.pose import rotate
+from .arm import SceneState, scene_state
+from .controlled_scene import ControlledScene
+from .mjx_environment import EnvState, MjxEnv
+from .networks import flat
+from .predicates import BACK
+from .task import SceneTask, StateView
+
+STEP_M, STEP_RAD = 0.02, 0.08
+"""Change of the target of a flying gripper by an action of 1, as of a robot."""
+
+
+def policy_observation(task: SceneTask, state: SceneState, xp: Any = jnp) -> Any:
+    """Return all observations as one vector, shape [obs].
+
+    They are those of the environment in the order of their names; then where the point of the task
+    is from the tool, in the axes of the tool [m]; and the progress.
+    """
+    scene = task.controlled
+    pos, quat = scene.tool(state, xp)
+    apart = StateView(scene, state).point(task.task.point) - pos
+    near = rotate(quat * BACK, apart, xp)
+    own = {"near": near, "progress": xp.reshape(task.progress(state), (1,))}
+    return xp.concatenate([flat(scene.observe(state, xp), xp), flat(own, xp)])
+
+
+def policy_action(scene: ControlledScene, state: SceneState, action: Any, xp: Any = jnp) -> Any:
+    """Return the environment's action for the action of a policy.
+
+    A flying gripper moves its target by changes and closes at 0 and below, as a robot does.
+    """
+    a = xp.clip(action, -1.0, 1.0)
+    low, high = scene.action_bounds
+    absolute = (low + high) / 2 + (high - low) / 2 * a
+    if scene.gripper is None:
+        return absolute
+    n = len(scene.drives)
+    change = np.array([STEP_M] * 3 + [STEP_RAD] * 3, np.float32) * a[n : n + 6]
+    moved = xp.clip(state.ctrl[n : n + 6] + change, low[n:-1], high[n:-1])
+    return xp.concatenate([absolute[:n], moved, high[-1:] * xp.maximum(a[-1:], 0.0)])
+
+
+class TaskState(eqx.Module):
+    """State of an environment whose observation is a vector."""
+
+    env: EnvState
+    obs: Array
+    reward: Array
+    done: Array
+    metrics: dict[str, Array]
+
+
+class PolicyEnv:
+    """Environment of a task for the optimization; see `ppo.Trainable`."""
+
+    def __init__(self, env: MjxEnv, task: SceneTask, horizon: int) -> None:
+        self.env, self.task, self.horizon = env, task, horizon
+        self.action_size = env.action_size
+
+    def reset(self, key: Array) -> TaskState:
+        """Return an initial state."""
+        return self._state(self.env.reset(key))
+
+    def reset_to(self, row: Array) -> TaskState:
+        """Return the initial state of one of the variants."""
+        return self._state(self.env.reset_to(row))
+
+    def step(self, state: TaskState, action: Array) -> TaskState:
+        """Return the next state."""
+        now = scene_state(state.env.data)
+        return self._state(
+            self.env.step(state.env, policy_action(self.env.controlled, now, action))
+        )
+
+    def _state(self, state: EnvState) -> TaskState:
+        world = scene_state(state.data)
+        told = {
+            "success": self.task.success(world).astype(jnp.float32),
+            "progress": self.task.progress(world).astype(jnp.float32),
+        }
+        finite = state.done == 0
+        metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), told)
+        return TaskState(
+            state, policy_observation(self.task, world), state.reward, state.done, metrics
+        )

@@ -1,0 +1,254 @@
+"""Training of a policy: the scenes, the optimization, and the files that it leaves."""
+
+import dataclasses
+import io
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import SpecError
+from ..io.binary_files import read_arrays
+from ..io.files import content_hash, write_output
+from ..progress import report, update
+from ..spec import SceneSpec, read_scene
+from . import ppo
+from .controlled_scene import ControlledScene, controlled_scene
+from .engines import choose_engine
+from .mjx_environment import MjxEnv
+from .policy import About, Policy, Setting
+from .policy_environment import PolicyEnv
+from .randomization import Variants, variants_of
+from .samples import sample
+from .task import SceneTask
+from .task_words import task_of
+
+TIMESTEP_S = 0.004
+"""Time step of physics in training. Evaluation halves it."""
+CHECKPOINT_S = 60.0
+POLICY, CHECKPOINT, CURVE, PICTURE = "policy.npz", "checkpoint.npz", "curve.jsonl", "curve.png"
+WORLDS = {"native": 64, "warp": 2048, "mjx": 256}
+"""Default number of worlds by engine."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """How long and in which scenes a policy is trained."""
+
+    steps: int = 20_000_000
+    """Control steps of all worlds."""
+    minutes: float | None = None
+    """Largest duration, without compiling."""
+    samples: int = 64
+    """Draws of the scene that the photograph allows; 0 trains in the scene itself."""
+    seed: int = 0
+    engine: str | None = None
+    """native, warp or mjx; the fastest of the machine if None."""
+
+
+REPORT_S = 10.0
+
+
+def task_scene(
+    scene: SceneSpec, setting: Setting, *, mjx: bool = False, visual: bool = False
+) -> SceneTask:
+    """Return the task of a setting in a scene with the setting's robot or gripper.
+
+    Raises:
+        SpecError: the scene has no such task or handle, or the robot is not installed.
+    """
+    task = task_of(scene, setting.task)
+    controlled = controlled_scene(
+        task.scene,
+        robot=setting.robot,
+        mount=setting.mount,
+        gripper=setting.gripper,
+        links=False,
+        mjx=mjx,
+        visual=visual,
+    )
+    return task.on(controlled)
+
+
+def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants | None:
+    """Return the kept ones of `n` draws of a scene; None for 0.
+
+    Sizes vary only if no collider is a mesh, because the worlds of a batch share their meshes.
+    """
+    if n == 0:
+        return None
+    scene = controlled.scene
+    drawn = sample(scene.spec, n, seed=seed, sizes=not scene.static.mjm.nmesh)
+    return variants_of(controlled, drawn)
+
+
+def train(
+    run: Path | str | SceneSpec,
+    setting: Setting,
+    out: Path,
+    *,
+    training: Training | None = None,
+    options: ppo.PpoOptions | None = None,
+    resume: bool = False,
+) -> Policy:
+    """Train a policy and write it to a folder.
+
+    The folder gets `policy.npz`, `checkpoint.npz` to resume from, `curve.jsonl` with one row for
+    each update, and `curve.png` if Matplotlib is installed.
+
+    Args:
+        run: a run folder, a scene.json or a scene.
+        setting: the task and what performs it.
+        out: folder of the policy.
+        training: duration, draws and seed.
+        options: settings of the optimization; if None, defaults for the engine.
+        resume: continue from the checkpoint in the folder.
+
+    Raises:
+        SpecError: the task is not possible in the scene, or the checkpoint is of another training.
+        EngineError: the engine cannot run here or cannot simulate the scene.
+    """
+    t = training or Training()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SpecError(f"cannot write to {out}: {error.strerror}") from None
+    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    engine = t.engine or choose_engine()
+    o = options or default_options(engine)
+    task = task_scene(scene, setting, mjx=engine == "mjx")
+    task.controlled.model.opt.timestep = TIMESTEP_S
+    env = MjxEnv(
+        task.controlled,
+        reward=task.reward,
+        variants=scene_variants(task.controlled, t.samples, t.seed),
+        engine=engine,
+        worlds=o.worlds,
+        control_s=setting.control_s,
+    )
+    policy_env = PolicyEnv(env, task, setting.horizon)
+    a, b = jax.random.split(jax.random.key(t.seed))
+    worlds, pool = ppo.open_worlds(policy_env, o, a)
+    learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])
+    learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
+    same = json.dumps([setting.model_dump(mode="json"), dataclasses.asdict(o), pool.obs.shape[-1]])
+    curve: list[dict[str, float]] = []
+    if resume:
+        learner, curve = _read_checkpoint(out, learner, same)
+    advance = ppo.make_update(policy_env, o)
+    about = lambda: About(
+        setting=setting,
+        scene=content_hash(scene.to_json()),
+        seed=t.seed,
+        steps=round(float(learner.steps) * 1000),
+        samples=t.samples,
+    )
+    before = curve[-1]["seconds"] if curve else 0.0
+    started = saved = reported = time.monotonic()
+    first = True
+    while float(learner.steps) * 1000 < t.steps:
+        learner, worlds, told = advance(learner, worlds, pool)
+        row = {name: float(value) for name, value in told.items()}
+        now = time.monotonic()
+        if first:  # compiling does not count
+            started, first = now, False
+        seconds = before + now - started
+        row = {"steps": round(float(learner.steps) * 1000), "seconds": round(seconds, 1), **row}
+        if not np.isfinite(row["reward"]) or not np.isfinite(row["value_loss"]):
+            raise SpecError("training diverged: its values are not finite; lower learning_rate")
+        curve.append(row)
+        if now - reported > REPORT_S or len(curve) == 1:
+            _report(row, t)
+            reported = now
+        if now - saved > CHECKPOINT_S:
+            _write(out, policy_of(learner, about()), learner, same, curve)
+            saved = now
+        if t.minutes is not None and seconds > 60 * t.minutes:
+            break
+    policy = policy_of(learner, about())
+    _write(out, policy, learner, same, curve)
+    draw_curve(curve, out / PICTURE)
+    return policy
+
+
+def _report(row: dict[str, float], training: Training) -> None:
+    rate = row["steps"] / max(row["seconds"], 1e-9)
+    update(done=row["steps"], of=training.steps, unit="steps", rate=rate)
+    report(
+        f"{row['seconds']:.0f} s, {row['steps']:,} control steps: success "
+        f"{row['success']:.0%}, progress {row['progress']:.2f}, return {row['return']:.1f}"
+    )
+
+
+def default_options(engine: str) -> ppo.PpoOptions:
+    """Return settings of the optimization that suit an engine."""
+    if engine == "warp":
+        return ppo.PpoOptions(worlds=WORLDS[engine])
+    return ppo.PpoOptions(worlds=WORLDS[engine], unroll=32, minibatches=8, epochs=6)
+
+
+def policy_of(learner: ppo.Learner, about: About) -> Policy:
+    """Return the policy of a learner, in NumPy arrays."""
+    actor, normalizer = jax.tree.map(np.asarray, (learner.networks.actor, learner.normalizer))
+    return Policy(about, actor, normalizer)
+
+
+def _write(
+    out: Path, policy: Policy, learner: ppo.Learner, same: str, curve: list[dict[str, float]]
+) -> None:
+    policy.write(out / POLICY)
+    leaves = jax.tree.leaves(learner._replace(key=jax.random.key_data(learner.key)))
+    arrays = {f"leaf_{k}": np.asarray(leaf) for k, leaf in enumerate(leaves)}
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, settings=np.array(same), **arrays)
+    write_output(out / CHECKPOINT, buffer.getvalue(), SpecError)
+    rows = "".join(json.dumps(row) + "\n" for row in curve)
+    write_output(out / CURVE, rows, SpecError)
+
+
+def _read_checkpoint(
+    out: Path, learner: ppo.Learner, same: str
+) -> tuple[ppo.Learner, list[dict[str, float]]]:
+    """Return the learner and the curve of a checkpoint of the same training."""
+    path = out / CHECKPOINT
+    arrays = read_arrays(path, SpecError)
+    if str(arrays.get("settings", "")) != same:
+        raise SpecError(f"{path} is of another task, robot or settings: train into another folder")
+    plain = learner._replace(key=jax.random.key_data(learner.key))
+    leaves, tree = jax.tree.flatten(plain)
+    found = [arrays.get(f"leaf_{k}") for k in range(len(leaves))]
+    for leaf, new in zip(leaves, found, strict=True):
+        if new is None or new.shape != leaf.shape or new.dtype != leaf.dtype:
+            raise SpecError(f"{path}: it is not a checkpoint of this training")
+    restored = jax.tree.unflatten(tree, [jnp.asarray(new) for new in found])
+    restored = restored._replace(key=jax.random.wrap_key_data(restored.key))
+    try:
+        text = (out / CURVE).read_text(encoding="utf-8")
+        curve = [json.loads(line) for line in text.splitlines()]
+    except (OSError, ValueError):
+        curve = []
+    return restored, [row for row in curve if row["steps"] <= float(restored.steps) * 1000]
+
+
+def draw_curve(curve: list[dict[str, Any]], path: Path) -> None:
+    """Draw success and return over steps, if Matplotlib is installed."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        return
+    figure = Figure(figsize=(6, 3.5), layout="constrained")
+    axes = figure.add_subplot()
+    ended = [row for row in curve if row["episodes"]]
+    steps = [row["steps"] for row in ended]
+    axes.plot(steps, [row["success"] for row in ended], label="success")
+    axes.plot(steps, [row["progress"] for row in ended], label="progress")
+    axes.set(xlabel="control steps", ylabel="share of episodes at their end", ylim=(0, 1.02))
+    axes.legend()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+    write_output(path, buffer.getvalue(), SpecError)

@@ -1,0 +1,253 @@
+"""Policies: optimization, files, evaluation and the command line."""
+
+import json
+import subprocess
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from neoworld_mjx.environments import ppo
+from neoworld_mjx.environments.arm import scene_state
+from neoworld_mjx.environments.evaluation import evaluate, wilson
+from neoworld_mjx.environments.mjx_environment import MjxEnv
+from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
+from neoworld_mjx.environments.policy import Policy, Setting, read_policy
+from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_action
+from neoworld_mjx.environments.randomization import variants_of
+from neoworld_mjx.environments.samples import sample
+from neoworld_mjx.environments.task_words import gripper_of, task_of
+from neoworld_mjx.environments.training import Training, task_scene, train
+from neoworld_mjx.errors import SpecError
+
+TASK = "open chest-drawer 0.5"
+SMALL = ppo.PpoOptions(worlds=8, unroll=8, epochs=2, minibatches=2, actor=(16,), critic=(16,))
+
+
+class Point(eqx.Module):
+    """A point on a line that is rewarded near 1; some worlds diverge."""
+
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+class Line:
+    """Moves a point by its actions; with `diverges` a world sometimes has no finite state."""
+
+    action_size, horizon = 1, 20
+
+    def __init__(self, diverges=False):
+        self.diverges = diverges
+
+    def reset(self, key):
+        start = jax.random.uniform(key, (1,), minval=-1.0)
+        return Point(start, jnp.zeros(()), jnp.zeros(()), {"success": jnp.zeros(())})
+
+    def step(self, state, action):
+        x = state.obs + 0.2 * jnp.clip(action, -1.0, 1.0)
+        bad = self.diverges & (jnp.abs(x[0]) > 0.9)
+        reward = jnp.where(bad, jnp.nan, -((x[0] - 1.0) ** 2))
+        obs = jnp.where(bad, jnp.nan, x)
+        return Point(
+            flat({"x": obs}), jnp.nan_to_num(reward), bad * 1.0, {"success": (x[0] > 0.8) * 1.0}
+        )
+
+
+def optimized(env, updates, options):
+    worlds, pool = ppo.open_worlds(env, options, jax.random.key(0))
+    learner = ppo.init(env, options, jax.random.key(1), 1)
+    learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
+    update = ppo.make_update(env, options)
+    reports = []
+    for _ in range(updates):
+        learner, worlds, report = update(learner, worlds, pool)
+        reports.append({k: float(v) for k, v in report.items()})
+    return learner, reports
+
+
+def test_the_optimization_learns_to_move_a_point():
+    options = ppo.PpoOptions(worlds=64, unroll=20, actor=(32,), critic=(32,))
+    _, reports = optimized(Line(), 25, options)
+    assert reports[-1]["return"] > -8 > reports[0]["return"]
+    assert reports[-1]["success"] > 0.9 > reports[0]["success"]
+
+
+def test_worlds_that_diverge_leave_the_learner_finite():
+    learner, reports = optimized(Line(diverges=True), 10, SMALL)
+    assert sum(r["diverged"] for r in reports) > 0
+    leaves = jax.tree.leaves((learner.networks, learner.normalizer))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in leaves)
+
+
+def test_a_gradient_that_is_not_finite_is_left_out():
+    class Infinite(Line):
+        def step(self, state, action):
+            after = super().step(state, action)
+            return eqx.tree_at(lambda s: s.reward, after, jnp.full((), jnp.inf))
+
+    learner, reports = optimized(Infinite(), 2, SMALL)
+    assert reports[-1]["left_out"] == 1.0
+    assert all(bool(jnp.isfinite(v).all()) for v in jax.tree.leaves(learner.networks))
+
+
+def test_networks_have_finite_gradients_and_give_the_same_in_numpy():
+    layers = (Layer(jnp.full((1, 2), -300.0), jnp.zeros(2)), Layer(jnp.ones((2, 1)), jnp.zeros(1)))
+    assert np.isfinite(jax.grad(lambda x: mlp(layers, x)[0])(jnp.ones(1))).all()
+    x = np.random.default_rng(0).normal(size=(5, 1)).astype(np.float32) / 300
+    plain = jax.tree.map(np.asarray, layers)
+    assert np.allclose(mlp(plain, x, np), mlp(layers, jnp.asarray(x)), atol=1e-5)
+
+
+def test_the_normalizer_is_that_of_all_observations_at_once():
+    x = np.random.default_rng(0).normal(3.0, 2.0, size=(200, 3)).astype(np.float32)
+    x[:, 2] = 0.7
+    n = Normalizer(jnp.zeros(()), jnp.zeros(3), jnp.zeros(3))
+    for part in np.split(x, [7, 60]):
+        n = n.update(jnp.asarray(part))
+    assert np.allclose(n.mean, x.mean(axis=0), atol=1e-4)
+    assert np.allclose(np.sqrt(n.squares / n.seen), x.std(axis=0), atol=1e-3)
+    assert np.isfinite(n(jnp.full(3, 1e9))).all()
+    wild = flat({"a": np.array([np.nan, np.inf, 1e30, 2.0])}, np)
+    assert wild.tolist() == [0.0, 0.0, LARGEST, 2.0]
+
+
+def test_wilson_intervals():
+    # Values of Newcombe (1998), Table I, method 3.
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert wilson(1, 29) == pytest.approx((0.0061, 0.1718), abs=1e-4)
+
+
+def test_variants_are_the_kept_draws(scene):
+    controlled = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle")).controlled
+    drawn = sample(scene, 6, seed=1)
+    variants = variants_of(controlled, drawn)
+    assert len(variants) == len(drawn.kept) > 1
+    damping = variants.fields["dof_damping"][:, controlled.model.joint("chest-slide").dofadr[0]]
+    factor = np.asarray(drawn.poses.variation.joint_damping)[drawn.kept, 0]
+    assert np.allclose(damping, 2.0 * factor, rtol=1e-5)
+    mass = variants.fields["body_mass"][:, controlled.model.body("block").id]
+    factor = np.asarray(drawn.poses.variation.mass)[drawn.kept, 1]
+    assert np.allclose(mass, controlled.model.body("block").mass * factor, rtol=1e-5)
+    # Derived fields follow: the inverse weight of a free body is 1 / mass.
+    weight = variants.fields["body_invweight0"][:, controlled.model.body("block").id, 0]
+    assert np.allclose(weight, 1 / mass, rtol=1e-4)
+    env = MjxEnv(controlled, variants=variants, engine="native")
+    states = jax.vmap(env.reset_to)(jnp.arange(2))
+    assert np.allclose(states.data.qpos, variants.qpos[:2], atol=1e-6)
+
+
+def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
+    assert gripper_of(task_of(scene, TASK)) == "chest-drawer_handle"
+    with pytest.raises(SpecError, match="no handle for a flying gripper"):
+        gripper_of(task_of(scene, "reach block"))
+
+
+def test_a_flying_gripper_moves_by_changes_and_closes(scene):
+    task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
+    env = PolicyEnv(MjxEnv(task.controlled, engine="native", control_s=0.1), task, 10)
+    state = env.reset(jax.random.key(0))
+    assert state.metrics["success"] == 0
+    action = jnp.array([1.0, 0, 0, 0, 0, 0, -1.0])
+    for _ in range(4):
+        state = env.step(state, action)
+    tool = np.asarray(task.controlled.tool(scene_state(state.env.data))[0])
+    start = np.array(task.controlled.gripper.pos)
+    assert np.allclose(tool - start, [0.08, 0, 0], atol=0.01)
+    assert float(state.env.obs["gripper"][-1]) < 0.02
+    held = policy_action(task.controlled, scene_state(state.env.data), np.full(7, 9.0), np)
+    assert held[-1] == pytest.approx(0.12)
+
+
+@pytest.fixture(scope="module")
+def trained(scene, tmp_path_factory):
+    out = tmp_path_factory.mktemp("policy")
+    setting = Setting(task=TASK, gripper="chest-drawer_handle", horizon=20)
+    training = Training(steps=128, samples=4, engine="native")
+    return out, setting, train(scene, setting, out, training=training, options=SMALL)
+
+
+def test_training_writes_a_policy_and_resumes(scene, trained):
+    out, setting, policy = trained
+    assert policy.about.steps == 128 and policy.about.setting == setting
+    rows = [json.loads(line) for line in (out / "curve.jsonl").read_text().splitlines()]
+    assert [row["steps"] for row in rows] == [64, 128]
+    more = Training(steps=256, samples=4, engine="native")
+    resumed = train(scene, setting, out, training=more, options=SMALL, resume=True)
+    rows = [json.loads(line) for line in (out / "curve.jsonl").read_text().splitlines()]
+    assert [row["steps"] for row in rows] == [64, 128, 192, 256]
+    assert resumed.about.steps == 256
+    other = setting.model_copy(update={"horizon": 30})
+    with pytest.raises(SpecError, match="another task, robot or settings"):
+        train(scene, other, out, training=more, options=SMALL, resume=True)
+
+
+def test_policies_are_evaluated_in_unseen_draws(scene, trained):
+    _, _, policy = trained
+    outcome = evaluate(policy, scene, samples=5)
+    assert 0 < len(outcome.success) <= 5 and outcome.drawn == 5
+    assert outcome.phrase().startswith(
+        f"succeeds in 0 of {len(outcome.success)} scenes: 0% (0% to "
+    )
+    again = evaluate(policy, scene, samples=5)
+    assert np.array_equal(outcome.progress, again.progress)
+
+
+def test_policy_files_keep_the_policy_and_refuse_strangers(scene, trained, tmp_path):
+    _, _, policy = trained
+    path = tmp_path / "policy.npz"
+    policy.write(path)
+    read = read_policy(path)
+    obs = np.random.default_rng(0).normal(size=(3, policy.observation_size)).astype(np.float32)
+    assert np.array_equal(read.act(obs), policy.act(obs)) and read.about == policy.about
+    arrays = dict(np.load(path))
+
+    class Evil:
+        def __reduce__(self):
+            return (subprocess.call, (["touch", str(tmp_path / "touched")],))
+
+    def refused(changes, message, **more):
+        np.savez(path, **(arrays | changes), **more)
+        with pytest.raises(SpecError, match=message):
+            read_policy(path)
+
+    refused({"mean": np.array([Evil()], object)}, "holds Python objects")
+    assert not (tmp_path / "touched").exists()
+    refused({"mean": arrays["mean"][:-1]}, "shapes of its layers do not fit")
+    refused({"bias_0": np.full_like(arrays["bias_0"], np.nan)}, "not a finite number")
+    refused({"weight_1": arrays["weight_1"][:, :1]}, "shapes of its layers do not fit")
+    refused({"about": np.array("{}")}, "it is not a policy file")
+    refused({"about": np.array(1.0)}, "it is not a policy file")
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(SpecError, match="no readable arrays"):
+        read_policy(path)
+
+
+def test_a_policy_of_another_scene_is_refused(scene, trained, tmp_path):
+    policy = trained[2]
+    wide = Policy(
+        policy.about,
+        policy.actor._replace(
+            layers=(Layer(np.zeros((3, 7), np.float32), np.zeros(7, np.float32)),)
+        ),
+        Normalizer(np.ones((), np.float32), np.zeros(3, np.float32), np.ones(3, np.float32)),
+    )
+    with pytest.raises(SpecError, match="takes 3 observations and gives 7 actions; the scene has"):
+        evaluate(wide, scene, samples=0)
+
+
+def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
+    file = tmp_path / "scene.json"
+    file.write_text(scene.to_json())
+    small = ["--steps", 2, "--worlds", 8, "--samples", 0, "--engine", "native", "--horizon", 5]
+    told = neoworld("train", file, "--task", TASK, *small, "--json")
+    assert told.returncode == 0 and json.loads(told.stdout)["steps"] == 8 * 32
+    policy = tmp_path / "policy" / "policy.npz"
+    told = neoworld("evaluate", policy, file, "--samples", 0, "--json")
+    assert told.returncode == 0 and json.loads(told.stdout)["n"] == 1
+    told = neoworld("train", file, "--task", TASK)
+    assert told.returncode == 2 and "has a policy: pass --resume" in told.stderr

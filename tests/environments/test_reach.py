@@ -1,0 +1,96 @@
+"""Mounts of robots, and scripted motions from them, without a model package."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.environments import task as tasks
+from neoworld_mjx.environments.arm import scene_state
+from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.reach import propose_mount, reachable
+from neoworld_mjx.environments.robots import Mount
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from tests.support.mechanisms import WOOD, geom, joint, part, single
+
+ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A chest with a drawer that has a bar on two posts to pull at, and a block beside it."""
+    body = part("body", geom("body", Box(size=(0.3, 0.4, 0.3)), (0, 0, 0.15)))
+    drawer = part(
+        "drawer",
+        geom("front", Box(size=(0.02, 0.3, 0.1)), (0.17, 0, 0.4)),
+        geom("handle", Box(size=(0.012, 0.1, 0.012)), (0.226, 0, 0.4)),
+        geom("handle_post", Box(size=(0.05, 0.01, 0.01)), (0.2, 0.045, 0.4)),
+        geom("handle_post_2", Box(size=(0.05, 0.01, 0.01)), (0.2, -0.045, 0.4)),
+    )
+    slide = joint("slide", "prismatic", "body", "drawer", (0.17, 0, 0.4), (1, 0, 0), upper=0.2,
+                  damping=5.0, friction=1.0)  # fmt: skip
+    chest = ObjectSpec(name="chest", materials=(WOOD,), parts=(body, drawer), joints=(slide,))
+    floor = single("floor", Box(size=(4, 4, 0.1)), 0.0)
+    block = single("block", Box(size=(0.04, 0.04, 0.04)), 0.02)
+    return SceneSpec(
+        objects=(
+            SceneObject(name="floor", spec=floor, environment=True, z=-0.05),
+            SceneObject(name="chest", spec=chest, parent="floor", fixed_base=True, yaw=0.5, z=0.05),
+            SceneObject(name="block", spec=block, parent="floor", z=0.0501, xy=(0.7, -0.7)),
+        )
+    )
+
+
+def run(task, mount):
+    """Follow the path of a task; return the rewards, shares done and successes of all steps."""
+    controlled = controlled_scene(task.scene, robot=ARM, mount=mount)
+    arm, on, rows = controlled.arm, task.on(controlled), []
+    assert arm is not None
+    data = mujoco.MjData(controlled.model)
+    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
+    mujoco.mj_forward(controlled.model, data)
+
+    def follow(start, end, grip, steps):
+        for k in range(1, steps + 1):
+            pos = start.pos + k / steps * (end.pos - start.pos)
+            action = arm.toward(scene_state(data), pos, end.quat, grip)
+            data.ctrl[:] = controlled.controls(action, scene_state(data))
+            mujoco.mj_step(controlled.model, data, 10)
+            mujoco.mj_forward(controlled.model, data)
+            state = scene_state(data)
+            rows.append((on.reward(None, action, state), on.progress(state), on.success(state)))
+
+    path = reachable(task, ARM, mount).path
+    follow(path[0], path[1], 1, 30)
+    follow(path[1], path[1], 1, 10)
+    follow(path[1], path[1], -1, 20)
+    for start, end in zip(path[1:], path[2:], strict=False):
+        follow(start, end, -1, 15)
+    follow(path[-1], path[-1], -1, 20)
+    return (np.array(column, float) for column in zip(*rows, strict=True))
+
+
+@pytest.mark.parametrize(
+    "make", [lambda s: tasks.open_joint(s, "chest-drawer", 0.8), lambda s: tasks.lift(s, "block")]
+)
+def test_an_arm_does_a_task_from_the_proposed_mount_and_the_reward_rises(scene, make):
+    task = make(scene)
+    mount = propose_mount(task, ARM)
+    rewards, progress, success = run(task, mount)
+    assert success[-10:].all() and progress[-1] == 1.0
+    # Forces and noise of contacts let the reward fall by no more than this for a moment.
+    assert (np.maximum.accumulate(rewards) - rewards).max() < 0.03
+    steps = rewards[::15]
+    assert (np.diff(steps) > -0.003).all() and (np.diff(steps) > 0.01).sum() > 5
+
+
+def test_places_from_which_an_arm_does_not_reach_are_told(scene):
+    task = tasks.open_joint(scene, "chest-drawer")
+    far = reachable(task, ARM, Mount((3.0, 0.0, 0.0)))
+    assert not far.reaches and far.reason == "it is too far away"
+    high = scene.object("block").model_copy(update={"z": 4.0})
+    lifted = scene.model_copy(update={"objects": (*scene.objects[:2], high)})
+    with pytest.raises(SpecError, match="reaches it from no place"):
+        propose_mount(tasks.reach(lifted, "block"), ARM)

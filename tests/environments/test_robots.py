@@ -1,0 +1,138 @@
+"""Robot arms beside a scene: reading them, and moving their tools."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from neoworld_mjx.environments.arm import MOVE_M, scene_state
+from neoworld_mjx.environments.cameras import camera_view, picture
+from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.robots import Mount, find_robot
+from neoworld_mjx.errors import SpecError
+from neoworld_mjx.render.view import View
+from neoworld_mjx.spec.pose import rotate
+from tests.support import scenes
+
+ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
+MOUNT = Mount((-0.6, 0.2, 0.1), 0.5)
+
+
+@pytest.fixture(scope="module")
+def controlled():
+    return controlled_scene(scenes.furnished(), robot=ARM, mount=MOUNT)
+
+
+@pytest.fixture
+def data(controlled):
+    data = mujoco.MjData(controlled.model)
+    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
+    mujoco.mj_forward(controlled.model, data)
+    return data
+
+
+def act(controlled, data, action, steps):
+    for _ in range(steps):
+        data.ctrl[:] = controlled.controls(np.asarray(action), scene_state(data))
+        mujoco.mj_step(controlled.model, data, 10)
+    mujoco.mj_forward(controlled.model, data)
+
+
+def test_the_jacobian_of_the_tool_is_that_of_mujoco(controlled, data):
+    data.qpos[controlled.arm.qpos] += [0.3, -0.2, 0.1, 0.4, 0.7]
+    mujoco.mj_forward(controlled.model, data)
+    state, expected = scene_state(data), np.zeros((2, 3, controlled.model.nv))
+    tool, _ = controlled.tool(state)
+    np.testing.assert_allclose(tool, data.site("robot-tip").xpos, atol=1e-9)
+    mujoco.mj_jac(controlled.model, data, *expected, tool, controlled.arm.tool_body)
+    given = controlled.arm.jacobian(state).reshape(2, 3, -1)
+    np.testing.assert_allclose(given, expected[..., controlled.arm.dof], atol=1e-9)
+
+
+def test_the_tool_axes_are_those_of_the_free_gripper(controlled, data):
+    """z points out of the palm, and the fingers close along y."""
+    _, quat = controlled.tool(scene_state(data))
+    apart = data.body("robot-left").xpos - data.body("robot-right").xpos
+    out = data.site("robot-tip").xpos - data.body("robot-hand").xpos
+    for axis, vector in (((0.0, 1.0, 0.0), apart), ((0.0, 0.0, 1.0), out)):
+        assert abs(rotate(quat, np.array(axis)) @ vector) == pytest.approx(np.linalg.norm(vector))
+    assert rotate(quat, np.array([0.0, 0.0, 1.0])) @ out > 0
+
+
+def test_actions_move_the_tool_along_the_axes_of_the_base(controlled, data):
+    act(controlled, data, [0, 0, 0, 0, 0, 0, 1], 20)
+    start, _ = controlled.tool(scene_state(data))
+    act(controlled, data, [0, 0, 0, 0, 0, 0, 1], 20)
+    still, _ = controlled.tool(scene_state(data))
+    np.testing.assert_allclose(still, start, atol=2e-4)
+    act(controlled, data, [-0.5, 0, 0, 0, 0, 0, 1], 5)
+    act(controlled, data, [0, 0, 0, 0, 0, 0, 1], 15)
+    end, _ = controlled.tool(scene_state(data))
+    moved = rotate(MOUNT.quat * [1, -1, -1, -1], end - start)
+    assert moved == pytest.approx([-2.5 * MOVE_M, 0, 0], abs=0.1 * MOVE_M)
+
+
+def test_the_gripper_opens_and_closes(controlled, data):
+    assert controlled.observe(scene_state(data))["gripper"][7] == pytest.approx(1.0)
+    act(controlled, data, [0, 0, 0, 0, 0, 0, -1], 40)
+    assert controlled.observe(scene_state(data))["gripper"][7] == pytest.approx(0.0, abs=0.15)
+    act(controlled, data, [0, 0, 0, 0, 0, 0, 0.5], 40)
+    assert controlled.observe(scene_state(data))["gripper"][7] == pytest.approx(0.5, abs=0.05)
+
+
+def test_controls_and_observations_are_traced_by_jax(controlled, data):
+    state = scene_state(data)
+    batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf, jnp.float32)] * 2), state)
+    actions = jnp.array([[0.3, -0.5, 0.2, 0.1, 0.0, -0.2, -1.0], [0.0] * 6 + [1.0]])
+    traced = jax.jit(jax.vmap(lambda a, s: controlled.controls(a, s, jnp)))(actions, batch)
+    for given, action in zip(np.asarray(traced), np.asarray(actions), strict=True):
+        np.testing.assert_allclose(given, controlled.controls(action, state), atol=1e-5)
+    observed = jax.jit(jax.vmap(lambda s: controlled.observe(s, jnp)))(batch)
+    for name, value in controlled.observe(state).items():
+        np.testing.assert_allclose(observed[name][0], value, atol=1e-6)
+
+
+def test_joint_targets(data):
+    controlled = controlled_scene(scenes.furnished(), robot=ARM, mount=MOUNT, control="joints")
+    assert controlled.arm is not None
+    target = controlled.hold_action + np.array([0.2, 0.1, 0, 0, 0, 0], np.float32)
+    act(controlled, data, target, 60)
+    assert data.qpos[controlled.arm.qpos] == pytest.approx(target[:5], abs=0.01)
+
+
+def test_robots_that_cannot_be_used_are_refused(tmp_path):
+    with pytest.raises(SpecError, match="did you mean 'panda'"):
+        find_robot("pandas")
+    with pytest.raises(SpecError, match="there is no file"):
+        find_robot(tmp_path / "none.xml")
+    bare = tmp_path / "arm.xml"
+    bare.write_text(ARM.read_text().replace('<site name="tip" pos="0 0 0.07" size="0.006"/>', ""))
+    with pytest.raises(SpecError, match="no site between the fingers"):
+        controlled_scene(scenes.furnished(), robot=bare, mount=MOUNT)
+    outside = tmp_path / "outside.xml"
+    outside.write_text('<mujoco><asset><mesh file="../../etc/m.stl"/></asset></mujoco>')
+    with pytest.raises(SpecError, match="outside"):
+        controlled_scene(scenes.furnished(), robot=outside, mount=MOUNT)
+
+
+def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
+    shown = controlled_scene(scenes.furnished(), robot=ARM, mount=MOUNT, visual=True)
+    data = mujoco.MjData(shown.model)
+    data.qpos[:] = shown.initial_qpos
+    mujoco.mj_kinematics(shown.model, data)
+    view = View.look_at((-2.0, -1.0, 1.0), (-0.5, 0.2, 0.4), width=48, height=36)
+    image = picture(shown, data, view, width=48, height=36)
+    robot = image.names.index("robot-base")
+    assert 20 < (image.segmentation == robot).sum() < 1000
+    distance = np.linalg.norm(np.array(MOUNT.pos) - view.eye)
+    assert np.median(image.depth[image.segmentation == robot]) == pytest.approx(distance, rel=0.3)
+    wrist = camera_view(shown, data, "wrist", width=48, height=36)
+    tool, quat = shown.tool(scene_state(data))
+    np.testing.assert_allclose(wrist.axes[:, 2], rotate(quat, np.array([0.0, 0.0, 1.0])))
+    assert np.linalg.norm(tool - wrist.eye) < 0.2
+    camera = scenes.furnished().camera
+    assert camera is not None
+    np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
