@@ -164,8 +164,9 @@ class PlayCommand(Command):
     """A run folder or a scene.json."""
     out: Annotated[Path | None, arg(aliases=("-o",))] = None
     """File .webp or .gif. Default: policy.webp beside the policy."""
-    azimuth: float = 140.0
-    """Direction of the camera's view about the vertical [deg]."""
+    azimuth: float | None = None
+    """Direction of the camera's view about the vertical [deg], drawn with OpenGL. Default: the
+    photograph's camera, drawn by the ray caster."""
 
     def run(self) -> CommandResult:
         """Simulate and render."""
