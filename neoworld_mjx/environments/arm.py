@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..errors import SpecError
 from ..physics.array_types import AnyArray
 from ..spec.pose import length, quat_mul, rotate
-from .robots import PREFIX, TOOL, Mount, RobotSpec
+from .robot_model import RobotSpec
+from .robots import PREFIX, TOOL, Mount
 
 Control = Literal["tool", "joints"]
 

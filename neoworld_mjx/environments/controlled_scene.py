@@ -30,8 +30,9 @@ from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world
 from ..spec.correlation import EACH
 from ..spec.pose import Pose, from_matrix, rotate
 from .arm import Arm, Control, SceneState, compiled_arm
+from .robot_model import attach_robot, read_robot
 from .robots import PREFIX as ROBOT
-from .robots import TOOL, Mount, Robot, attach_robot, find_robot, read_robot
+from .robots import TOOL, Mount, Robot, find_robot
 
 AWAY_M = 0.10
 """Initial distance of a gripper from a handle [m]."""

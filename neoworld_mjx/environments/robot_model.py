@@ -1,0 +1,444 @@
+"""The model of a robot: read from its files, made simple, and added to the model of a scene."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecError, choices
+from ..export.compile_mjcf import check_files, compiled
+from ..io.limited_worker import call_limited
+from ..physics.mjcf import VISUAL_GROUP
+from ..spec.pose import IDENTITY, conjugate, from_matrix, quat_mul, rotate
+from .robots import PREFIX, SITES, TOOL, Mount, Robot
+
+RATE = 50.0
+"""Natural frequency of the position actuators that replace a file's motors [rad/s]."""
+PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.004, 1.0]}
+"""Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
+ONE_JAW_M = 0.012
+"""Distance of the tool from the site, if only one finger moves and the site is at the other [m]."""
+GROUP = 5
+"""Group of the geoms of a robot that collide."""
+_MOVES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+class RobotSpec(NamedTuple):
+    """A robot's specification, ready to be attached, and how its gripper works."""
+
+    spec: mujoco.MjSpec
+    arm: tuple[str, ...]
+    """Joints between the base and the tool."""
+    home: NDArray
+    """Positions of the arm's joints [rad or m], shape [arm]."""
+    fingers: tuple[str, ...]
+    """All other joints."""
+    closed: NDArray
+    """Positions of the fingers when they are together [rad or m], shape [finger]."""
+    opened: NDArray
+    grip: tuple[str, ...]
+    """Actuators of the fingers."""
+    grip_targets: NDArray
+    """Controls of these: full force, together, and open, shape [grip, 3]."""
+
+
+def read_robot(
+    robot: Robot, *, visual: bool = False, links: bool = True, mjx: bool = False
+) -> RobotSpec:
+    """Read a robot's files.
+
+    Every mesh that collides becomes a box or a capsule around it, robots do not collide with
+    themselves, and their weight is compensated. Motors of the arm become position actuators with
+    the limits of the motors; position actuators stay.
+
+    Args:
+        robot: the robot.
+        visual: if True, keep geoms that do not collide.
+        links: if False, only the hand and the fingers collide.
+        mjx: if True, set condim 3 and priority 0 on all geoms, as `mjx_step` requires.
+
+    Raises:
+        SpecError: a file is broken or hostile, or has no arm with a gripper and a tool site.
+    """
+    spec = _specification(robot)
+    if not visual:
+        for geom in list(spec.geoms):
+            default = geom.contype == 0 and geom.conaffinity == 0
+            if default or geom.parent == spec.worldbody:
+                spec.delete(geom)
+    model = _compile(spec, robot)
+    actuators = list(spec.actuators)
+    site = _tool_site(spec, robot)
+    chain = _chain(model, int(model.site_bodyid[site.id]))
+    arm = [j for j in range(model.njnt) if model.jnt_bodyid[j] in chain]
+    fingers = [j for j in range(model.njnt) if j not in arm]
+    for j in (*arm, *fingers):
+        if int(model.jnt_type[j]) not in _MOVES:
+            raise SpecError(f"robot {robot.file}: joint {model.joint(j).name} is no hinge or slide")
+    if not arm or not fingers:
+        raise SpecError(f"robot {robot.file}: site {site.name} is not on an arm with fingers")
+    data = mujoco.MjData(model)
+    home = _home(model, data, robot, arm)
+    closed, opened = _stroke(model, data, fingers, site.id)
+    if robot.opened:
+        if len(robot.opened) != len(fingers):
+            raise SpecError(f"robot {robot.file}: opened has not {len(fingers)} joints")
+        opened = np.array(robot.opened)
+    quat = _tool_axes(model, data, fingers, closed, opened, site.id)
+    _add_tool(spec, model, site, quat, data, ONE_JAW_M if len(fingers) == 1 else 0.0)
+    _position_actuators(spec, actuators, model, data, arm)
+    grip, targets = _grip(actuators, model, fingers, closed, opened, robot)
+    moved = {int(model.jnt_bodyid[j]) for j in fingers}
+    _simplify(spec, model, data, site, robot, moved, links, visual)
+    for geom in spec.geoms if mjx else ():
+        geom.condim, geom.priority = 3, 0
+    names = [model.joint(j).name for j in range(model.njnt)]
+    return RobotSpec(
+        spec,
+        tuple(names[j] for j in arm),
+        home,
+        tuple(names[j] for j in fingers),
+        closed,
+        opened,
+        grip,
+        targets,
+    )
+
+
+def attach_robot(model: mujoco.MjSpec, robot: RobotSpec, mount: Mount) -> None:
+    """Add a robot to a model specification. Its coordinates follow the existing coordinates."""
+    frame = model.worldbody.add_frame(pos=mount.pos, quat=mount.quat)
+    model.attach(robot.spec, prefix=f"{PREFIX}-", frame=frame)
+
+
+def _specification(robot: Robot) -> mujoco.MjSpec:
+    files = [robot.file] + ([robot.hand] if robot.hand else [])
+    for file in files if not robot.trusted else ():
+        check_files(file)
+        call_limited(_compiles, file)
+    try:
+        arm, *hands = (mujoco.MjSpec.from_file(str(file)) for file in files)
+        for hand in hands:
+            flange = arm.body(robot.flange)
+            if flange is None:
+                raise SpecError(f"robot {robot.file}: there is no body {robot.flange}")
+            arm.attach(hand, prefix="hand-", frame=flange.add_frame())
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"robot {robot.file} is refused by MuJoCo: {error}") from None
+    arm.compiler.discardvisual = False
+    arm.compiler.fusestatic = False
+    return arm
+
+
+def _compiles(path: Path) -> None:
+    compiled(path)
+
+
+def _compile(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"robot {robot.file} is refused by MuJoCo: {error}") from None
+
+
+def _tool_site(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjsSite:
+    names = [site.name for site in spec.sites]
+    for name in (robot.tool,) if robot.tool else SITES:
+        if name in names:
+            return spec.site(name)
+    raise SpecError(
+        f"robot {robot.file}: no site between the fingers: "
+        + choices(robot.tool or SITES[0], [name for name in names if name] or ["(no site)"])
+    )
+
+
+def _chain(model: mujoco.MjModel, body: int) -> set[int]:
+    chain = set()
+    while body:
+        chain.add(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def _home(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, arm: list[int]) -> NDArray:
+    """Set the data to the arm's initial positions, and return these."""
+    if model.nkey:
+        data.qpos[:] = model.key_qpos[0]
+    where = model.jnt_qposadr[arm]
+    if robot.home:
+        if len(robot.home) != len(arm):
+            raise SpecError(f"robot {robot.file}: home has {len(robot.home)} of {len(arm)} joints")
+        data.qpos[where] = robot.home
+    limited = model.jnt_limited[arm].astype(bool)
+    low, high = model.jnt_range[arm].T
+    home = np.where(limited, np.clip(data.qpos[where], low, high), data.qpos[where])
+    data.qpos[where] = home
+    mujoco.mj_forward(model, data)
+    return home
+
+
+def _stroke(
+    model: mujoco.MjModel, data: mujoco.MjData, fingers: list[int], site: int
+) -> tuple[NDArray, NDArray]:
+    """Return the positions of the fingers when closed, and when open: farther from the tool."""
+    ends = model.jnt_range[fingers].copy()
+    for j, row in zip(fingers, ends, strict=True):
+        distances = []
+        for value in row:
+            data.qpos[model.jnt_qposadr[j]] = value
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            apart = data.xipos[model.jnt_bodyid[j]] - data.site_xpos[site]
+            distances.append(np.linalg.norm(apart))
+        if distances[0] > distances[1]:
+            row[:] = row[::-1]
+    return ends[:, 0], ends[:, 1]
+
+
+def _tool_axes(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    fingers: list[int],
+    closed: NDArray,
+    opened: NDArray,
+    site: int,
+) -> NDArray:
+    """Close the fingers, and return the tool's orientation: z out of the palm, y to close along."""
+    data.qpos[model.jnt_qposadr[fingers]] = closed
+    mujoco.mj_forward(model, data)
+    tool = data.site_xpos[site]
+    j = fingers[0]
+    axis = data.xaxis[j] * np.sign(opened[0] - closed[0])
+    if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE:
+        axis = np.cross(axis, tool - data.xanchor[j])
+    out = tool - data.xpos[model.body_parentid[model.jnt_bodyid[j]]]
+    y = axis / np.linalg.norm(axis)
+    z = out - (out @ y) * y
+    z = z / np.linalg.norm(z)
+    return from_matrix(np.column_stack([np.cross(y, z), y, z]))
+
+
+def _add_tool(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    site: mujoco.MjsSite,
+    quat: NDArray,
+    data: mujoco.MjData,
+    aside: float,
+) -> None:
+    """Add the tool's site, this far from the given site toward the moving finger [m]."""
+    body = model.site_bodyid[site.id]
+    if site.name == TOOL:
+        site.name = f"{TOOL}-given"
+    local = quat_mul(conjugate(data.xquat[body]), quat)
+    pos = model.site_pos[site.id] + rotate(local, (0.0, aside, 0.0))
+    added = spec.bodies[body].add_site(name=TOOL, quat=local, pos=pos)
+    added.group = 5
+
+
+def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
+    joint_driven = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    return bool(joint_driven and model.actuator_trnid[actuator, 0] == joint)
+
+
+def _is_position(model: mujoco.MjModel, actuator: int) -> bool:
+    return bool(model.actuator_biasprm[actuator, 1] < 0)
+
+
+def _position_actuators(
+    spec: mujoco.MjSpec,
+    actuators: list[mujoco.MjsActuator],
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    arm: list[int],
+) -> None:
+    """Replace the arm's actuators that control no positions."""
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    for j in arm:
+        own = [a for a in range(model.nu) if _drives(model, a, j)]
+        if any(_is_position(model, a) for a in own):
+            continue
+        limits = [
+            abs(model.actuator_gear[a, 0]) * model.actuator_ctrlrange[a, 1]
+            for a in own
+            if model.actuator_ctrllimited[a]
+        ]
+        mass = inertia[model.jnt_dofadr[j], model.jnt_dofadr[j]]
+        added = spec.add_actuator(
+            name=f"{model.joint(j).name}-position",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=model.joint(j).name,
+        )
+        added.set_to_position(kp=mass * RATE**2, kv=2 * mass * RATE)
+        if limits:
+            added.forcelimited = 1
+            added.forcerange = [-sum(limits), sum(limits)]
+    replaced = [
+        a
+        for a in range(model.nu)
+        if any(_drives(model, a, j) for j in arm) and not _is_position(model, a)
+    ]
+    for a in replaced:
+        spec.delete(actuators[a])
+
+
+def _grip(
+    actuators: list[mujoco.MjsActuator],
+    model: mujoco.MjModel,
+    fingers: list[int],
+    closed: NDArray,
+    opened: NDArray,
+    robot: Robot,
+) -> tuple[tuple[str, ...], NDArray]:
+    """Return the actuators of the fingers and their controls: full force, together, open."""
+    names, targets = [], []
+    ends = np.zeros((2, model.nq))
+    ends[:, model.jnt_qposadr[fingers]] = closed, opened
+    for a in range(model.nu):
+        shut, wide = (_length(model, a, qpos) for qpos in ends)
+        if shut == wide or not _is_position(model, a):
+            continue
+        gain, stiffness = model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 1]
+        force = stiffness * abs(wide - shut)
+        if model.actuator_forcelimited[a]:
+            force = model.actuator_forcerange[a, 1]
+        control = lambda length, push=0.0, g=gain, k=stiffness: (push + k * length) / g
+        full = control(shut, np.sign(shut - wide) * force)
+        targets.append([full, control(shut), control(wide)])
+        actuator = actuators[a]
+        actuator.ctrllimited = 0
+        actuator.name = actuator.name or f"grip_{a}"
+        names.append(actuator.name)
+    if not names:
+        raise SpecError(f"robot {robot.file}: no position actuator moves the fingers")
+    return tuple(names), np.array(targets)
+
+
+def _length(model: mujoco.MjModel, actuator: int, qpos: NDArray) -> float:
+    """Return the length of an actuator's joint or fixed tendon."""
+    target = int(model.actuator_trnid[actuator, 0])
+    gear = model.actuator_gear[actuator, 0]
+    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+        return float(gear * qpos[model.jnt_qposadr[target]])
+    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
+        return 0.0
+    first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+    joints = model.wrap_objid[first : first + count]
+    return float(gear * model.wrap_prm[first : first + count] @ qpos[model.jnt_qposadr[joints]])
+
+
+def _simplify(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    site: mujoco.MjsSite,
+    robot: Robot,
+    moved: set[int],
+    links: bool,
+    visual: bool,
+) -> None:
+    """Make colliders simple, and keep what the compiler would derive from removed geoms."""
+    hand = int(model.body_weldid[model.site_bodyid[site.id]])
+    fingers = {b for b in range(model.nbody) if _chain(model, b) & moved}
+    root = {b for b in range(model.nbody) if model.body_weldid[b] == 0}
+    for body in spec.bodies:
+        if b := body.id:
+            body.mass, body.ipos, body.iquat = (
+                model.body_mass[b],
+                model.body_ipos[b],
+                model.body_iquat[b],
+            )
+            body.inertia = model.body_inertia[b]
+            body.fullinertia = [np.nan] * 6
+            body.explicitinertial = True
+            body.gravcomp = 1.0
+    quat = quat_mul(data.xquat[model.site_bodyid[site.id]], np.array(spec.site(TOOL).quat))
+    origin = data.site_xpos[site.id]
+    # Pictures show the colliders of a robot that has no other geoms.
+    bare = visual and bool(np.all(model.geom_contype | model.geom_conaffinity))
+    for g, geom in enumerate(list(spec.geoms)):
+        body = int(model.geom_bodyid[g])
+        in_gripper = body in fingers or int(model.body_weldid[body]) == hand
+        collides = bool(model.geom_contype[g] or model.geom_conaffinity[g])
+        if not collides:
+            geom.group = VISUAL_GROUP
+            continue
+        touches = geom.name in robot.pads or not (in_gripper and robot.pads)
+        if body in root or not touches or not (in_gripper or links):
+            if bare:
+                geom.contype, geom.conaffinity, geom.group = 0, 0, VISUAL_GROUP
+            else:
+                spec.delete(geom)
+            continue
+        # The robot collides with the scene, whose geoms have contype 1, and not with itself.
+        geom.contype, geom.conaffinity = 0, 1
+        geom.group = VISUAL_GROUP if bare else GROUP
+        if in_gripper:
+            for field, value in PAD.items():
+                setattr(geom, field, value)
+        if not visual:
+            geom.material = ""
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+            trim = body in fingers
+            _fit(geom, model, data, g, quat if in_gripper else None, origin, trim)
+    unused = () if visual else (spec.meshes, spec.materials, spec.textures)
+    for kind in (spec.keys, spec.sensors, *unused):
+        for element in list(kind):
+            spec.delete(element)
+
+
+TRIM_M = 0.0005
+"""Distance of a finger's box from the plane in which the fingers meet [m]; pads stand out."""
+
+
+def _fit(
+    geom: mujoco.MjsGeom,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    g: int,
+    tool: NDArray | None,
+    origin: NDArray,
+    trim: bool,
+) -> None:
+    """Turn a geom of a mesh into a primitive around the mesh.
+
+    Links become capsules along their longest axis. Geoms of the gripper become boxes with the axes
+    of the tool, and fingers end where they meet.
+    """
+    mesh = model.geom_dataid[g]
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    own = data.geom_xmat[g].reshape(3, 3)
+    points = model.mesh_vert[first : first + count] @ own.T + data.geom_xpos[g]
+    body = int(model.geom_bodyid[g])
+    axes = IDENTITY
+    if tool is None:
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, data.geom_xmat[g])
+    else:
+        quat = tool
+    local = rotate(conjugate(quat), points - origin)
+    low, high = local.min(axis=0), local.max(axis=0)
+    if tool is not None and trim:
+        if high[1] + low[1] > 0:
+            low[1] = max(low[1], TRIM_M)
+        else:
+            high[1] = min(high[1], -TRIM_M)
+    half = np.maximum((high - low) / 2, 1e-3)
+    center = rotate(quat, (low + high) / 2) + origin
+    geom.type = mujoco.mjtGeom.mjGEOM_BOX
+    geom.size = half
+    if tool is None:
+        long = int(half.argmax())
+        radius = float(np.delete(half, long).mean())
+        geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+        geom.size = [radius, max(float(half[long]) - radius, 1e-3), 0.0]
+        turn = {0: (0.5**0.5, 0.0, 0.5**0.5, 0.0), 1: (0.5**0.5, 0.5**0.5, 0.0, 0.0)}
+        axes = turn.get(long, IDENTITY)
+    back = conjugate(data.xquat[body])
+    geom.meshname = ""
+    geom.fromto = [np.nan] * 6
+    geom.pos = rotate(back, center - data.xpos[body])
+    geom.quat = quat_mul(back, quat_mul(quat, np.array(axes)))
