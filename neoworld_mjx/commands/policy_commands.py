@@ -1,5 +1,6 @@
 """Commands `train`, `evaluate` and `play`: policies of robots in a scene."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -165,8 +166,7 @@ class PlayCommand(Command):
     out: Annotated[Path | None, arg(aliases=("-o",))] = None
     """File .webp or .gif. Default: policy.webp beside the policy."""
     azimuth: float | None = None
-    """Direction of the camera's view about the vertical [deg], drawn with OpenGL. Default: the
-    photograph's camera, drawn by the ray caster."""
+    """Direction from the scene to the camera about +z [deg]. Default: beside the robot."""
 
     def run(self) -> CommandResult:
         """Simulate and render."""
@@ -174,7 +174,8 @@ class PlayCommand(Command):
         from ..environments.video import play
 
         path = self.out or self.policy.with_suffix(".webp")
-        done = play(read_policy(self.policy), self.target, path, azimuth=self.azimuth)
+        side = None if self.azimuth is None else math.radians(self.azimuth)
+        done = play(read_policy(self.policy), self.target, path, azimuth=side)
         return {"video": str(path), "success": done}
 
     def lines(self, result: CommandResult) -> list[str]:
