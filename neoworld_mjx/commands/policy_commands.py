@@ -1,5 +1,6 @@
 """Commands `train`, `evaluate` and `play`: policies of robots in a scene."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -164,8 +165,8 @@ class PlayCommand(Command):
     """A run folder or a scene.json."""
     out: Annotated[Path | None, arg(aliases=("-o",))] = None
     """File .webp or .gif. Default: policy.webp beside the policy."""
-    azimuth: float = 140.0
-    """Direction of the camera's view about the vertical [deg]."""
+    azimuth: float | None = None
+    """Direction from the scene to the camera about +z [deg]. Default: beside the robot."""
 
     def run(self) -> CommandResult:
         """Simulate and render."""
@@ -173,7 +174,8 @@ class PlayCommand(Command):
         from ..environments.video import play
 
         path = self.out or self.policy.with_suffix(".webp")
-        done = play(read_policy(self.policy), self.target, path, azimuth=self.azimuth)
+        side = None if self.azimuth is None else math.radians(self.azimuth)
+        done = play(read_policy(self.policy), self.target, path, azimuth=side)
         return {"video": str(path), "success": done}
 
     def lines(self, result: CommandResult) -> list[str]:

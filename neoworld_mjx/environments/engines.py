@@ -224,8 +224,9 @@ PROBE_STEPS, PROBE_ACTIONS = 400, 8
 def capacity(controlled: ControlledScene) -> tuple[int, int]:
     """Return the contacts and constraints for which a world needs memory.
 
-    They are twice the largest numbers in C MuJoCo under random controls, because MuJoCo Warp may
-    generate more contact points, and its pool also holds pairs that pass the broad phase.
+    They are two and four times the largest numbers in C MuJoCo under random controls, because
+    MuJoCo Warp may generate more contact points, its pool also holds pairs that pass the broad
+    phase, and a policy makes other contacts. Warp prints a line if they do not suffice.
     """
     model, rng = controlled.model, np.random.default_rng(0)
     data = mujoco.MjData(model)
@@ -242,5 +243,5 @@ def capacity(controlled: ControlledScene) -> tuple[int, int]:
             mujoco.mj_step(model, data, 20)
             contacts, constraints = max(contacts, data.ncon), max(constraints, data.nefc)
     pool = 2 * contacts + 32
-    rows = 2 * max(constraints, 4 * contacts) + 32
+    rows = 4 * max(constraints, 4 * contacts) + 64
     return -(-pool // 16) * 16, -(-rows // 32) * 32

@@ -1,23 +1,29 @@
-"""Video of a policy in a scene."""
+"""Video of a policy in a scene, drawn by the project's ray caster, so without OpenGL."""
 
 import io
+import math
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from PIL import Image
 
-from ..errors import EngineError, SpecError, choices
+from ..errors import SpecError, choices
 from ..io.files import write_output
+from ..render.view import View
 from ..spec import SceneSpec, read_scene
 from .arm import scene_state
+from .cameras import picture
 from .evaluation import episode
 from .policy import Policy
+from .task import SceneTask, StateView
 from .training import task_scene
 
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
-DISTANCE_M, ELEVATION_DEG = 1.6, -25.0
-"""Of the camera, from the point of the task."""
+EVERY = 3
+"""Actions between two pictures, each of which takes about a second."""
+ASIDE, ELEVATION = math.radians(65.0), math.radians(25.0)
+"""Direction of the camera, from that of the robot as seen from the point of the task [rad]."""
 
 
 def play(
@@ -25,8 +31,8 @@ def play(
     run: Path | str | SceneSpec,
     path: Path,
     *,
-    size: tuple[int, int] = (480, 640),
-    azimuth: float = 140.0,
+    size: tuple[int, int] = (360, 480),
+    azimuth: float | None = None,
 ) -> bool:
     """Write a video of an episode, and return whether the policy succeeds.
 
@@ -35,42 +41,48 @@ def play(
         run: a run folder, a scene.json or a scene.
         path: file .webp or .gif.
         size: height and width [px].
-        azimuth: direction of the camera's view about the vertical [deg].
+        azimuth: direction from the scene to the camera about +z [rad]; if None, beside the robot.
 
     Raises:
         SpecError: the policy does not fit the scene, or the format is unknown.
-        EngineError: MuJoCo cannot render on this machine.
     """
     if path.suffix not in FORMATS:
         raise SpecError(f"video {path.name}: format: {choices(path.suffix, FORMATS)}")
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    task = task_scene(scene, policy.about.setting, visual=True)
-    model = task.controlled.model
-    model.vis.global_.offheight, model.vis.global_.offwidth = size
+    setting = policy.about.setting
+    # A flying gripper has no geoms but those that collide.
+    task = task_scene(scene, setting, visual=setting.robot is not None)
     states = episode(policy, task)
-    camera = mujoco.MjvCamera()
-    camera.distance, camera.elevation, camera.azimuth = DISTANCE_M, ELEVATION_DEG, azimuth
-    camera.lookat[:] = task.controlled.tool(scene_state(states[0]))[0]
-    try:
-        renderer = mujoco.Renderer(model, *size)
-    except Exception as error:
-        raise EngineError(
-            f"MuJoCo cannot render here ({error}): set MUJOCO_GL=egl, or osmesa without a GPU"
-        ) from None
-    frames = []
-    with renderer:
-        for data in states:
-            renderer.update_scene(data, camera)
-            frames.append(Image.fromarray(np.asarray(renderer.render())))
-    milliseconds = round(1000 * policy.about.setting.control_s)
+    shown = states[::EVERY]
+    view = _view(task, shown, size, azimuth)
+    draw = lambda data: picture(
+        task.controlled, data, view, width=size[1], height=size[0], shadows=False
+    )
+    frames = [Image.fromarray(np.asarray(draw(data).color)) for data in shown]
     buffer = io.BytesIO()
     frames[0].save(
         buffer,
         FORMATS[path.suffix],
         save_all=True,
         append_images=frames[1:],
-        duration=milliseconds,
+        duration=round(1000 * EVERY * setting.control_s),
         loop=0,
     )
     write_output(path, buffer.getvalue(), SpecError)
     return bool(task.success(scene_state(states[-1])))
+
+
+def _view(
+    task: SceneTask, states: list[mujoco.MjData], size: tuple[int, int], azimuth: float | None
+) -> View:
+    """Return a view from the side that shows the tool, the point of the task, and the base."""
+    controlled = task.controlled
+    tools = [controlled.tool(scene_state(data))[0] for data in states]
+    worked = [StateView(controlled, scene_state(data)).point(task.task.point) for data in states]
+    base = tools[0] if controlled.arm is None else states[0].xpos[controlled.arm.base]
+    x, y = (base - worked[0])[:2]
+    points = np.array([*tools, *worked, base, worked[0] + (0.0, 0.0, 0.35)])
+    side = math.atan2(y, x) + ASIDE if azimuth is None else azimuth
+    return View.framing(
+        points, width=size[1], height=size[0], azimuth=side, elevation=ELEVATION, margin=1.3
+    )

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.arm import scene_state
@@ -20,6 +21,7 @@ from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
 from neoworld_mjx.environments.training import Training, task_scene, train
+from neoworld_mjx.environments.video import play
 from neoworld_mjx.errors import SpecError
 
 TASK = "open chest-drawer 0.5"
@@ -195,6 +197,19 @@ def test_policies_are_evaluated_in_unseen_draws(scene, trained):
     )
     again = evaluate(policy, scene, samples=5)
     assert np.array_equal(outcome.progress, again.progress)
+
+
+def test_videos_show_the_gripper_that_moves(scene, trained, tmp_path):
+    learned = trained[2]
+    *first, last = learned.actor.layers
+    moving = learned.actor._replace(layers=(*first, last._replace(bias=np.ones(7, np.float32))))
+    policy = Policy(learned.about, moving, learned.normalizer)
+    with pytest.raises(SpecError, match=r"format: got '.mp4', valid are: .webp, .gif"):
+        play(policy, scene, tmp_path / "v.mp4")
+    assert play(policy, scene, tmp_path / "v.webp", size=(48, 64)) is False
+    with Image.open(tmp_path / "v.webp") as video:
+        assert video.size == (64, 48) and video.n_frames == 7
+        assert np.asarray(video.convert("L")).std() > 5
 
 
 def test_policy_files_keep_the_policy_and_refuse_strangers(scene, trained, tmp_path):
