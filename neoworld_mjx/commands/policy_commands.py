@@ -133,8 +133,8 @@ class EvaluateCommand(Command):
 
     def run(self) -> CommandResult:
         """Evaluate."""
-        from ..environments.evaluation import evaluate
         from ..environments.policy import read_policy
+        from ..environments.trials import evaluate
 
         outcome = evaluate(
             read_policy(self.policy), self.target, samples=self.samples, seed=self.seed

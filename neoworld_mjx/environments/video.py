@@ -14,10 +14,10 @@ from ..render.view import View
 from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .cameras import picture
-from .evaluation import episode
 from .policy import Policy
 from .task import SceneTask, StateView
 from .training import task_scene
+from .trials import episode
 
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 EVERY = 3

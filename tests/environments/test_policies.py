@@ -12,7 +12,6 @@ from PIL import Image
 
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.arm import scene_state
-from neoworld_mjx.environments.evaluation import evaluate, wilson
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
@@ -21,6 +20,7 @@ from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
 from neoworld_mjx.environments.training import Training, task_scene, train
+from neoworld_mjx.environments.trials import evaluate, wilson
 from neoworld_mjx.environments.video import play
 from neoworld_mjx.errors import SpecError
 
