@@ -183,14 +183,14 @@ def test_shards_are_merged_to_the_whole_sweep(swept, tmp_path):
 
 
 def test_an_ablation_reports_differences(tmp_path):
-    variants = {"held": {"refine.cem.hold_resting": True}, "wider": {SIGMA: 60}}
+    variants = {"steadier": {DRIFT: 5}, "wider": {SIGMA: 60}}
     requests = {"base": BASE, "seeds": [0, 1], "variants": variants}
     result = ablate(requests, tmp_path / "a", cases=[SCENE])
     rows = read_rows(tmp_path / "a")
-    assert [row["variant"] for row in rows[::2]] == ["base", "held", "wider"]
-    held, wider = result.differences
-    assert (held["point"], held["n"]) == ("held", 2)
-    for first, difference in ((2, held), (4, wider)):
+    assert [row["variant"] for row in rows[::2]] == ["base", "steadier", "wider"]
+    steadier, wider = result.differences
+    assert (steadier["point"], steadier["n"]) == ("steadier", 2)
+    for first, difference in ((2, steadier), (4, wider)):
         changes = [rows[first + k]["reward"] - rows[k]["reward"] for k in (0, 1)]
         assert difference["reward"]["mean"] == pytest.approx(np.mean(changes)) != 0
     assert "## Differences from the base" in (tmp_path / "a" / "table.md").read_text()
