@@ -4,7 +4,9 @@ The state of a world holds only what the next step needs, so all engines share i
 reset, gathered and stored like any arrays.
 """
 
+import contextlib
 import copy
+import io
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -13,7 +15,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
-from mujoco import mjx
 from mujoco.batch import Batch, SimulationError
 
 from ..engines import ENGINES
@@ -23,6 +24,10 @@ from ..physics.mjx_model import make_data, mjx_step, put_compiled, with_fields
 from ..physics.warp_engine import warp_device
 from .arm import scene_state
 from .controlled_scene import ControlledScene
+
+# MJX prints a message if the optional warp is missing.
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
 
 Fields = Mapping[str, Array]
 """Model fields in which a world differs from the compiled model, by their names in MjModel."""
