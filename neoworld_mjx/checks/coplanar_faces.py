@@ -22,7 +22,7 @@ STAND_OUT_M = 0.0005
 LEAST_SHARE = 0.1
 """Fraction of the smaller face that must lie in the other face."""
 LEAST_M2 = 2.5e-5
-"""Smallest area of a face that is looked at [m^2]."""
+"""Smallest area of a face that is checked [m^2]."""
 MOST_TRIANGLES = 120
 """A face of more triangles is left out, to bound the time."""
 MOST_REPORTED = 4

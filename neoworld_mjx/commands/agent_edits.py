@@ -41,7 +41,7 @@ File = Annotated[
 
 
 class _Kept(BaseModel):
-    """What an edit replaced."""
+    """Record of an edit: the values that it replaced."""
 
     model_config = ConfigDict(extra="forbid")
 

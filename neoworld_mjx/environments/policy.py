@@ -20,7 +20,7 @@ MAX_LAYERS, MAX_WIDTH = 16, 8192
 
 
 class Setting(BaseModel):
-    """What a policy acts in, apart from the scene: the same for training and evaluation."""
+    """Task, robot and timing of a policy, the same for training and evaluation."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -84,12 +84,12 @@ class PolicyEnv:
 
     def _state(self, state: EnvState) -> TaskState:
         world = scene_state(state.data)
-        told = {
+        measured = {
             "success": self.task.success(world).astype(jnp.float32),
             "progress": self.task.progress(world).astype(jnp.float32),
         }
         finite = state.done == 0
-        metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), told)
+        metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), measured)
         return TaskState(
             state, policy_observation(self.task, world), state.reward, state.done, metrics
         )

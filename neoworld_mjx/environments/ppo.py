@@ -50,7 +50,7 @@ class PpoOptions:
 
 @runtime_checkable
 class Trainable(Protocol):
-    """What the optimization needs of an environment; both methods are for one world."""
+    """Environment of one world, as the optimization calls it."""
 
     @property
     def action_size(self) -> int:
@@ -72,7 +72,7 @@ class Trainable(Protocol):
 
 
 class Networks(NamedTuple):
-    """What is learned by gradients."""
+    """Networks that gradients change."""
 
     actor: Actor
     critic: tuple[Layer, ...]
@@ -100,7 +100,7 @@ class Episodes(NamedTuple):
 
 
 class Transitions(NamedTuple):
-    """What the worlds did in an unroll, shape [time, world, ...]."""
+    """Transitions of all worlds in an unroll, shape [time, world, ...]."""
 
     obs: Array
     action: Array
@@ -195,7 +195,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
 
     def descend(carry: tuple[Networks, Any], batch: dict[str, Array]) -> tuple[Any, Any]:
         networks, state = carry
-        (_, told), gradient = jax.value_and_grad(loss, has_aux=True)(networks, batch)
+        (_, losses), gradient = jax.value_and_grad(loss, has_aux=True)(networks, batch)
         changes, moved = optimizer.update(gradient, state, cast(Any, networks))
         better: Any = optax.apply_updates(cast(Any, networks), changes)
         low, high = LOG_STD
@@ -205,7 +205,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         # A step that is not finite is left out, or nothing would be finite ever after.
         sane = jnp.isfinite(optax.tree.norm(gradient))
         keep = lambda new, old: jnp.where(sane, new, old)
-        return jax.tree.map(keep, (better, moved), (networks, state)), told | {"left_out": ~sane}
+        return jax.tree.map(keep, (better, moved), (networks, state)), losses | {"left_out": ~sane}
 
     def update(learner: Learner, worlds: Episodes, pool: Any) -> Any:
         key, unroll, shuffle = jax.random.split(learner.key, 3)
@@ -229,10 +229,10 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
             return jax.lax.scan(descend, carry, split)
 
         carry = (learner.networks, learner.optimizer)
-        (networks, state), told = jax.lax.scan(
+        (networks, state), losses = jax.lax.scan(
             epoch, carry, jax.random.split(shuffle, options.epochs)
         )
-        rate, kl = state[1].hyperparams["learning_rate"], told["kl"][-1].mean()
+        rate, kl = state[1].hyperparams["learning_rate"], losses["kl"][-1].mean()
         factor = jnp.where(kl > 2 * options.kl, 1 / 1.5, jnp.where(kl < options.kl / 2, 1.5, 1.0))
         state[1].hyperparams["learning_rate"] = jnp.clip(rate * factor, *RATES)
         sums = {name: v.sum() for name, v in data.finished.items()}
@@ -242,7 +242,7 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
             "reward": data.reward.mean() / options.reward_scale,
         }
         report |= {"diverged": data.terminated.sum()}
-        report |= {name: v.mean() for name, v in told.items()}
+        report |= {name: v.mean() for name, v in losses.items()}
         report |= {
             "learning_rate": state[1].hyperparams["learning_rate"],
             "std": jnp.exp(networks.actor.log_std).mean(),

@@ -1,4 +1,4 @@
-"""Where a robot can stand for a task: inverse kinematics along the task's motion.
+"""Mounts from which a robot reaches a task: inverse kinematics along the task's motion.
 
 The motion begins in front of the task's point, goes there, and follows the object or the part to
 the goal. A mount is good if the arm follows without a jump, far from its joint limits, and without
@@ -43,10 +43,10 @@ MARGIN = 0.04
 ENOUGH = 0.2
 """Share of a joint's range beyond which farther limits are no better."""
 BEYOND, BEYOND_RAD = 0.05, 0.2
-"""How far the motion goes beyond the goal's bound: as a share of a joint's range, and of a joint
+"""Distance of the motion beyond the goal's bound: as a share of a joint's range, and of a joint
 without one [rad]."""
 FINGER_M, FINGER_Y_M = 0.013, 0.035
-"""How far fingers reach beyond the tool, and how far open fingers are apart from it [m]."""
+"""Length of the fingers beyond the tool, and distance of open fingers from it [m]."""
 LIFT_M = 0.005
 """Height above the lowest bound of a goal to which the motion goes [m]."""
 MAX_RETREAT_M = 0.03
@@ -66,7 +66,7 @@ ANGLES = tuple(math.radians(a) for a in (0, 25, -25, 50, -50, 75, -75, 120, -120
 
 
 class Reach(NamedTuple):
-    """How a mounted arm follows the motion of a task."""
+    """Result of following the motion of a task with a mounted arm."""
 
     reaches: bool
     reason: str

@@ -54,7 +54,7 @@ class WorkPoint:
     pos: tuple[float, float, float]
     """In the object's frame with all joints at zero [m]."""
     grasp: bool = True
-    """Whether the gripper closes there."""
+    """True if the gripper closes there."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ WORLDS = {"native": 64, "warp": 2048, "mjx": 256}
 
 @dataclass(frozen=True)
 class Training:
-    """How long and in which scenes a policy is trained."""
+    """Duration of training, and its scenes."""
 
     steps: int = 20_000_000
     """Control steps of all worlds."""
@@ -152,8 +152,8 @@ def train(
     started = saved = reported = time.monotonic()
     first = True
     while float(learner.steps) * 1000 < t.steps:
-        learner, worlds, told = advance(learner, worlds, pool)
-        row = {name: float(value) for name, value in told.items()}
+        learner, worlds, averages = advance(learner, worlds, pool)
+        row = {name: float(value) for name, value in averages.items()}
         now = time.monotonic()
         if first:  # compiling does not count
             started, first = now, False

@@ -38,7 +38,7 @@ class Trials:
     """Outcome of one episode in each of several scenes."""
 
     success: Bool[np.ndarray, " n"]
-    """Whether the goal holds at the end of the episode."""
+    """True if the goal holds at the end of the episode."""
     progress: Float[np.ndarray, " n"]
     drawn: int
     """Number of draws, of which those that stand and agree with the photograph are kept."""
