@@ -22,7 +22,7 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     from .methods.scene_runs import run_scenes as run_methods
     from .tables.scene_figures import scene_summary
 
-    settings = run_settings(o, config)
+    settings = run_settings(o, config, o.evidence)
     scenes = chosen_scenes(o.scenes)
     if o.submission is not None:
         rows = collect(submission_rows(scenes, o.submission, settings))
@@ -39,7 +39,7 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 
-    settings = run_settings(o, config)
+    settings = run_settings(o, config, o.evidence)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
@@ -52,26 +52,12 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
     from .tasks.catalogue import find_tasks
     from .tasks.model_plans import plan_figures, plan_rows
 
-    settings = run_settings(o, config)
+    settings = run_settings(o, config, [o.evidence])
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store, _panel(o, config, store) as models:
         plan = partial(plan_rows, models, methods=o.method, starts=o.starts, settings=settings)
         rows = store.all({task.name: partial(plan, task) for task in tasks})
     return {**plan_figures(rows), "rows": plain(rows)}
-
-
-def run_coverage(o: suites.Coverage) -> dict[str, Any]:
-    """Count the intervals of aligned objects that contain the truth."""
-    from .methods.interval_coverage import interval_coverage, interval_rows
-    from .methods.scene_runs import chosen_scenes
-    from .noise.known_evidence import check_evidence
-
-    check_evidence(o.evidence)
-    rows_of = partial(interval_rows, starts=o.starts, evidence=o.evidence)
-    jobs = {name: partial(rows_of, name) for name in chosen_scenes(o.scenes)}
-    with kept_rows(o) as store:
-        rows = store.all(jobs)
-    return {"n": len(rows), "table": interval_coverage(rows)}
 
 
 def run_rescue(o: suites.Rescues) -> dict[str, Any]:
@@ -161,6 +147,13 @@ def run_joints(o: suites.ObjectSuite, config: Config) -> dict[str, Any]:
         rows = store.all(jobs)
     paper = {"joints": PAPER_JOINTS, "surfaces": PAPER_SURFACES}
     return {**score_figures(rows), "paper": paper, "rows": plain(rows)}
+
+
+def run_all(o: suites.All) -> dict[str, Any]:
+    """Make the tables of docs/results.md."""
+    from .all_tables import run_tables
+
+    return run_tables(o.out, o.tables, o.workers, o.against)
 
 
 def _panel(o: suites.ModelRequests, config: Config, store: RowStore) -> Panel:

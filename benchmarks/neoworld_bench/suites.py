@@ -17,10 +17,6 @@ from neoworld_mjx.places import Place
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
-EvidenceName = Literal[
-    "fov", "exif", "pose", "depth", "affine", "disparity", "masks", "second", "stereo"
-]
-"""Kinds of evidence of `noise.known_evidence`."""
 KnownView = Literal["photo", "camera", "depth"]
 """Evidence about a real view: the photograph, alone, with its camera, and with its depth."""
 FrontName = Literal["+x", "-x", "+y", "-y"]
@@ -45,19 +41,15 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenEvidence:
-    """Options of suites in which the photograph comes with evidence."""
-
-    evidence: tuple[EvidenceName, ...] = ()
-    """Evidence in addition to the photograph, none by default. fov, exif: field of view, calibrated
-    or with an error of 3 %; pose: pitch, roll and height of the camera; depth: of a sensor; affine,
-    disparity: depth of a network, up to scale and shift; masks; second, stereo: a second
-    photograph, with unknown or known pose."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoisyRuns(GivenEvidence, Place):
+class NoisyRuns(Place):
     """Options of suites that run methods from noisy initial scenes."""
+
+    evidence: tuple[str, ...] = ("none",)
+    """What is given in addition to the photograph: kinds joined by "+", such as fov+depth; the
+    methods run with each. fov, exif: field of view, calibrated or with an error of 3 %; pose:
+    pitch, roll and height of the camera; depth: of a sensor; affine, disparity: depth of a network,
+    up to scale and shift; masks; second, stereo: a second photograph, with unknown or known pose.
+    """
 
     starts: int = 2
     """Initial scenes of each scene or task; those with odd numbers are the evaluation half."""
@@ -140,7 +132,7 @@ class Tasks(NoisyRuns):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plans(GivenEvidence, ModelRequests):
+class Plans(ModelRequests):
     """Request plans of the manipulation tasks from a model, and execute them in the scene that it
     sees and in the ground truth; a plan that fails refines the layout, as in Section 4.4 of the
     paper.
@@ -150,24 +142,14 @@ class Plans(GivenEvidence, ModelRequests):
     """Names of tasks; all by default."""
     method: tuple[str, ...] = ("truth", "ours", "open_loop")
     """Methods that reconstruct the scene that the model sees, as in `bench run tasks`."""
+    evidence: str = "none"
+    """What is given in addition to the photograph, as one set of `bench run tasks`."""
     starts: int = 1
     """Initial scenes of each task and method."""
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes."""
     seed: int = 0
     """Seed of the noise, the searches and the refinement."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coverage(GivenEvidence):
-    """Count the 90 % intervals of aligned objects that hold the truth, over rendered scenes with
-    all errors of responses. Half an hour on two cores.
-    """
-
-    scenes: tuple[str, ...] = ()
-    """Names of scenes; all by default."""
-    starts: int = 3
-    """Initial scenes of each; those with odd numbers are the evaluation half."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,19 +223,35 @@ class ObjectSuite:
     """Direction in which the ground-truth objects face; -x in PartNet-Mobility."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class All:
+    """Run the suites of docs/results.md, each into a file, and compare the figures with earlier
+    ones. Tables that this commit has already made are not made again.
+    """
+
+    out: Path = Path("results")
+    """Folder of the files TABLE.json."""
+    tables: tuple[str, ...] = ()
+    """Names of tables (`neoworld_bench.all_tables.TABLES`); all by default."""
+    against: Path | None = None
+    """Folder of earlier files. Lists the figures whose intervals do not overlap."""
+    workers: int = 0
+    """Processes; 0 starts one for every two cores."""
+
+
 SUITES = {
     name: Suite(options, f"neoworld_bench.run_suites:run_{name.replace('-', '_')}", configured)
     for name, options, configured in (
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
         ("plans", Plans, True),
-        ("coverage", Coverage, False),
         ("rescue", Rescues, False),
         ("engines", Engines, False),
         ("examples", Examples, True),
         ("photos", Photos, True),
         ("real-poses", RealPoses, True),
         ("joints", ObjectSuite, True),
+        ("all", All, False),
     )
 }
 """Suites that `neoworld bench run NAME` runs."""

@@ -2,14 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
-from neoworld_bench.methods.interval_coverage import (
-    IntervalRow,
-    interval_coverage,
-    object_errors,
-)
+from neoworld_bench.methods.stated_deviations import object_errors, stated_deviations
+from neoworld_bench.tables.scene_figures import coverage
 
 from neoworld_mjx.spec.scene import PoseUncertainty
+from tests.bench.test_scene_set import row_of
 from tests.estimate import desk
 
 KNOWN = PoseUncertainty(along=0.01, across=0.002, yaw=math.radians(2), log_scale=0.03)
@@ -43,12 +42,23 @@ def test_a_displacement_is_split_along_and_across_the_view():
 
 
 def test_the_coverage_counts_the_intervals_that_hold_the_truth():
-    known = {"evaluation": False, "quantity": "yaw"}
-    rows = [IntervalRow(scene=f"scene {k % 5}", deviations=0.1 * k, **known) for k in range(40)]
-    other = IntervalRow(scene="scene 0", quantity="along", evaluation=False, deviations=9.0)
-    _, row = interval_coverage([*rows, other])
-    assert row["n"] == 40 and row["half"] == "development"
+    rows = [
+        row_of("ours", valid=True, scene=f"scene {k}", deviations={"yaw": list(0.1 * numbers)})
+        for k, numbers in enumerate(np.arange(40).reshape(8, 5).T)
+    ]
+    rows.append(row_of("ours", valid=True, scene="scene 0", start=1, deviations={"along": [9.0]}))
+    row, other = coverage(rows)
+    assert row["n"] == 40 and row["half"] == "development" and row["quantity"] == "yaw"
     # 1.645 deviations: the errors 0 to 1.6.
     assert row["held"] == pytest.approx(17 / 40)
     assert row["low"] < 17 / 40 < row["high"]
     assert row["factor"] == pytest.approx(3.51 / 1.645)
+    assert (other["half"], other["held"]) == ("evaluation", 0.0)
+
+
+def test_deviations_are_grouped_by_quantity():
+    truth = desk.five()
+    known = [item.model_copy(update={"uncertainty": KNOWN}) for item in truth.objects]
+    found = stated_deviations(truth.model_copy(update={"objects": tuple(known)}), truth)
+    assert len(found["yaw"]) == len(found["along"]) - 2, "a can and a ball have no heading"
+    assert stated_deviations(truth, truth) == {}

@@ -1,7 +1,7 @@
 """The thirty scenes: declarations, ground truths, errors of layouts, methods, summaries, tables."""
 
 import math
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from neoworld_bench.dataset.declaration import Room, declarations
@@ -183,22 +183,23 @@ def test_stored_rows_are_not_run_again(tmp_path):
     assert run() == rows and (tmp_path / ROWS).read_bytes() == before
 
 
-def _row(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **more: float):
+def row_of(method: str, *, valid: bool, scene: str = "tents", start: int = 0, **more: Any):
     fields = dict.fromkeys(SceneRow.model_fields, 0) | {
         "scene": scene, "room": "tabletop", "tabletop": scene == "tents", "objects": 4,
         "start": start, "evaluation": start % 2 == 1, "method": method, "valid": valid,
         "check_passed": valid, "accepted": valid if method == "ours" else None,
-        "noise": "layout", "injected": "", "refused": "", "evidence": "", "s_stab": valid,
-        "o_stab": 1.0, "xy_error_m": 0.01, "seconds_to_valid": 2.0 if valid else None,
+        "noise": "layout", "injected": "", "refused": "", "evidence": "none", "s_stab": valid,
+        "deviations": {}, "o_stab": 1.0, "xy_error_m": 0.01,
+        "seconds_to_valid": 2.0 if valid else None,
     }  # fmt: skip
     return SceneRow.model_validate(fields | more)
 
 
 def test_summary_compares_methods_and_counts_objects():
-    rows = [_row("ours", valid=True, start=k) for k in range(2)]
-    rows += [_row("open_loop", valid=k == 0, start=k, xy_error_m=0.02) for k in range(2)]
-    rows += [_row("gravity", valid=False, o_stab=0.5)]
-    rows += [_row("gravity", valid=False, scene="dominoes", objects=12)]
+    rows = [row_of("ours", valid=True, start=k) for k in range(2)]
+    rows += [row_of("open_loop", valid=k == 0, start=k, xy_error_m=0.02) for k in range(2)]
+    rows += [row_of("gravity", valid=False, o_stab=0.5)]
+    rows += [row_of("gravity", valid=False, scene="dominoes", objects=12)]
     summary = scene_summary(rows)
     assert (summary["n"], summary["scenes"], summary["starts"]) == (6, 2, 2)
     compared = summary["differences"]
@@ -211,13 +212,13 @@ def test_summary_compares_methods_and_counts_objects():
     assert summary["methods"]["ours"]["seconds_to_valid"] == 2.0
     assert summary["methods"]["gravity"]["o_stab"] == pytest.approx(14 / 16), "over objects"
     assert summary["evaluation"]["open_loop"]["valid_rate"] == 0.0
-    own = scene_summary([_row("ours", valid=False, missed=1, extra=2, displaced=1)])
+    own = scene_summary([row_of("ours", valid=False, missed=1, extra=2, displaced=1)])
     figures = own["methods"]["ours"]
     assert (figures["objects"], figures["found"]) == (4, 3)
     shares = [figures[name] for name in ("displaced", "missed", "extra")]
     assert shares == pytest.approx([1 / 3, 1 / 4, 2 / 4])
-    near = [_row("ours", valid=True, start=k, within_10mm=0.5 + k / 2) for k in range(2)]
-    near.append(_row("ours", valid=True, start=2, camera_error_m=0.03))
+    near = [row_of("ours", valid=True, start=k, within_10mm=0.5 + k / 2) for k in range(2)]
+    near.append(row_of("ours", valid=True, start=2, camera_error_m=0.03))
     figures = scene_summary(near)["methods"]["ours"]
     assert figures["camera_error_m"] == pytest.approx(0.01)
     assert figures["camera_error_median_m"] == 0.0 and figures["within_10mm"] == 0.5

@@ -150,7 +150,7 @@ def _row(task, kind, method, on_truth, start=0, **more):
     given = dict.fromkeys(SuccessRow.model_fields, 0) | {
         **{"task": task, "kind": kind, "method": method, "on_truth": on_truth, "start": start},
         **{"in_scene": True, "unaligned": False, "valid": True, "evaluation": start % 2 == 1},
-        **{"noise": "layout", "injected": "", "evidence": "", "reason": "", "scene_reason": ""},
+        **{"noise": "layout", "injected": "", "evidence": "none", "reason": "", "scene_reason": ""},
     }
     return SuccessRow.model_validate(given | more)
 

@@ -1,5 +1,6 @@
 """Runs of methods on scenes or tasks from noisy initial scenes, in separate processes."""
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -18,10 +19,9 @@ from ..noise.initial_scenes import (
     is_evaluation,
     noise_number,
 )
-from ..noise.known_evidence import check_evidence, known_evidence
+from ..noise.known_evidence import kinds_of, known_evidence
 from ..noise.parse_noise import NoiseLog
 from ..rows import Row, RowStore, log
-from ..suites import EvidenceName
 from .scene_methods import MethodResult, outcomes_of
 
 
@@ -40,7 +40,7 @@ class MethodRow(Row):
     """True if the initial scene is in the evaluation half."""
     method: str
     evidence: str
-    """Kinds of evidence in addition to the photograph, joined by "+"; empty for none."""
+    """Kinds of evidence in addition to the photograph, joined by "+"; "none" for none."""
     rollouts: int
 
     @property
@@ -54,9 +54,14 @@ class MethodRow(Row):
         raise NotImplementedError
 
     @property
-    def key(self) -> tuple[str, int, int, str]:
-        """Subject, initial scene, seed and method."""
-        return self.subject, self.start, self.seed, self.method
+    def label(self) -> str:
+        """Method and evidence."""
+        return self.method if self.evidence == "none" else f"{self.method} with {self.evidence}"
+
+    @property
+    def key(self) -> tuple[str, int, int, str, str]:
+        """Subject, initial scene, seed, evidence and method."""
+        return self.subject, self.start, self.seed, self.evidence, self.method
 
 
 R = TypeVar("R", bound=MethodRow)
@@ -72,18 +77,20 @@ class RunSettings:
     """Options of the search and of the final check."""
     compose: ComposeOptions
     noise: NoiseLevel
-    evidence: tuple[EvidenceName, ...] = ()
-    """Kinds of evidence in addition to the photograph."""
+    evidence: tuple[str, ...] = ("none",)
+    """What is given in addition to the photograph: kinds joined by "+"; methods run with each."""
 
 
-def run_settings(options: Any, config: Config) -> RunSettings:
+def run_settings(options: Any, config: Config, evidence: Sequence[str]) -> RunSettings:
     """Return the settings of a run from the options of a suite and the configuration.
 
     Raises:
-        SpecError: kinds of evidence exclude each other.
+        SpecError: a kind of evidence is unknown, or two exclude each other.
     """
-    check_evidence(options.evidence)
-    return RunSettings(options.seed, config.refine, config.compose, options.noise, options.evidence)
+    for words in evidence:
+        kinds_of(words)
+    given = tuple(dict.fromkeys(evidence))
+    return RunSettings(options.seed, config.refine, config.compose, options.noise, given)
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,8 @@ class MethodJob:
     methods: tuple[str, ...]
     settings: RunSettings
     threads: int
+    evidence: str = "none"
+    """What is given in addition to the photograph."""
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Add noise to the exact response for the ground truth, and compose the initial scene.
@@ -129,7 +138,7 @@ class MethodJob:
             initial,
             s.refine,
             NativeEngine(threads=self.threads),
-            lambda: known_evidence(s.evidence, truth, photograph(truth), number),
+            lambda: known_evidence(kinds_of(self.evidence), truth, photograph(truth), number),
             align=s.compose.align,
             seed=s.seed,
         )
@@ -143,7 +152,7 @@ class MethodJob:
             "seed": self.settings.seed,
             "evaluation": is_evaluation(self.start),
             "method": method,
-            "evidence": "+".join(self.settings.evidence),
+            "evidence": self.evidence,
         }
 
 
@@ -169,7 +178,8 @@ def run_jobs(
         store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Returns:
-        All rows, including stored ones, sorted by key.
+        All rows, including stored ones, sorted by subject, start, seed, evidence and method; the
+        last two as in the arguments.
 
     Raises:
         RunError: a file cannot be written, or a process died.
@@ -179,14 +189,20 @@ def run_jobs(
     rows = {row.key: row for row in store.of(row_type)}
     jobs = []
     for subject, numbers in starts.items():
-        for start in numbers:
-            missing = tuple(m for m in methods if (subject, start, settings.seed, m) not in rows)
+        for start, given in itertools.product(numbers, settings.evidence):
+            of = (subject, start, settings.seed, given)
+            missing = tuple(method for method in methods if (*of, method) not in rows)
             if missing:
-                jobs.append(MethodJob(subject, start, missing, settings, place.threads))
+                jobs.append(MethodJob(subject, start, missing, settings, place.threads, given))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
     for row in run_tasks(work, jobs, place):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
         rows[row.key] = row
-    return sorted(rows.values(), key=lambda row: row.key)
+
+    def position(row: R) -> tuple[Any, ...]:
+        given, method = settings.evidence.index(row.evidence), methods.index(row.method)
+        return row.subject, row.start, row.seed, given, method
+
+    return sorted(rows.values(), key=position)

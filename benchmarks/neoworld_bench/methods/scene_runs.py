@@ -22,6 +22,7 @@ from ..rows import RowStore
 from .layout_errors import camera_errors, layout_errors, validity
 from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
 from .scene_methods import MethodResult, check_methods
+from .stated_deviations import stated_deviations
 from .submission import submission_name, submitted
 
 NEAR_M = 0.01
@@ -107,6 +108,8 @@ class SceneRow(MethodRow):
     a mean over objects [m]; see `camera_errors`."""
     within_10mm: float
     """Share of the objects whose distance is at most 10 mm."""
+    deviations: dict[str, list[float]]
+    """Errors of objects in stated standard deviations, by quantity; see `stated_deviations`."""
     box_iou: float
     """Intersection over union of visible 2D boxes with those of the ground truth, as a mean over
     objects."""
@@ -131,7 +134,7 @@ class SceneRow(MethodRow):
         valid = "valid" if self.valid else "not valid"
         time = "" if self.seconds is None else f", {self.seconds:.1f} s"
         error = f"{1e3 * self.xy_error_m:.1f} mm"
-        return f"{self.scene} start {self.start} {self.method}: {valid}, {error}{time}"
+        return f"{self.scene} start {self.start} {self.label}: {valid}, {error}{time}"
 
 
 def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
@@ -265,6 +268,7 @@ def _row(
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
         camera_error_m=float(np.mean(distance)),
+        deviations=stated_deviations(result.scene, truth, measured="depth" in job.evidence),
         within_10mm=float(np.mean(distance <= NEAR_M)),
         box_iou=_box_iou(result.scene, truth),
         seconds_to_valid=result.seconds_to_result if verdict.valid else None,

@@ -6,7 +6,7 @@ errors and an unknown scale and shift besides. Masks and calibrations are exact.
 
 import math
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -25,9 +25,8 @@ from neoworld_mjx.spec.pose import from_yaw, matrix
 
 from ..fidelity.rendered_responses import disturbed_box2d
 from ..fidelity.rendered_scenes import photograph
-from ..suites import EvidenceName
 
-KINDS: tuple[str, ...] = get_args(EvidenceName)
+KINDS = ("fov", "exif", "pose", "depth", "affine", "disparity", "masks", "second", "stereo")
 """Kinds of evidence.
 
 - fov: the field of view, calibrated.
@@ -61,12 +60,13 @@ WIDTH_PX = 640
 """Width of depth images and masks [px]."""
 
 
-def check_evidence(kinds: Sequence[str]) -> None:
-    """Check the kinds of evidence.
+def kinds_of(words: str) -> tuple[str, ...]:
+    """Return the kinds of evidence that are joined by "+"; none for "none".
 
     Raises:
         SpecError: there is no such kind, or two exclude each other.
     """
+    kinds = () if words == "none" else tuple(words.split("+"))
     for kind in kinds:
         if kind not in KINDS:
             raise SpecError(f"evidence: {choices(kind, KINDS)}")
@@ -74,6 +74,7 @@ def check_evidence(kinds: Sequence[str]) -> None:
         given = [kind for kind in some if kind in kinds]
         if len(given) > 1:
             raise SpecError(f"evidence: got {' and '.join(given)}, at most one of them is valid")
+    return kinds
 
 
 def known_evidence(
@@ -85,7 +86,7 @@ def known_evidence(
     """Return the photograph with evidence of some kinds.
 
     Args:
-        kinds: kinds of evidence, checked by `check_evidence`; none for the photograph alone.
+        kinds: kinds of evidence, as returned by `kinds_of`; none for the photograph alone.
         truth: the ground truth, with the camera of the photograph.
         photo: the photograph (sRGB).
         number: seed of the errors. For one number, a kind has the same errors with any other kinds.

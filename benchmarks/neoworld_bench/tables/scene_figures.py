@@ -43,6 +43,8 @@ MEASURES = {
     "box_iou": Measure(lambda r: r.box_iou, share=False),
 }
 """Measures by name."""
+LEVEL, Z = 0.9, 1.645
+"""Probability of an interval, and its half-width in standard deviations of a Gaussian."""
 COMPARED = (
     *("xy_error_m", "yaw_error_deg", "scale_error", "edge_error", "camera_error_m"),
     *("box_iou", "displaced"),
@@ -65,7 +67,9 @@ PAPER: dict[str, dict[str, dict[str, float]]] = {
 
 
 def scene_summary(rows: Sequence[SceneRow]) -> dict[str, Any]:
-    """Summarize rows: figures by method, of the evaluation half alone, and differences."""
+    """Summarize rows: figures by method, of the evaluation half alone, differences,
+    and the coverage of confidence intervals.
+    """
     return {
         "n": len(rows),
         "scenes": len({row.scene for row in rows}),
@@ -78,14 +82,15 @@ def scene_summary(rows: Sequence[SceneRow]) -> dict[str, Any]:
             name: figures(some) for name, some in by_method([r for r in rows if r.evaluation])
         },
         "differences": differences(rows),
+        "coverage": {name: coverage(some) for name, some in by_method(rows)},
         "paper": PAPER,
     }
 
 
 def by_method(rows: Sequence[SceneRow]) -> Iterator[tuple[str, list[SceneRow]]]:
-    """Yield each method with its rows."""
-    for name in dict.fromkeys(row.method for row in rows):
-        yield name, [row for row in rows if row.method == name]
+    """Yield each method, with its evidence, and its rows."""
+    for label in dict.fromkeys(row.label for row in rows):
+        yield label, [row for row in rows if row.label == label]
 
 
 def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:
@@ -145,3 +150,26 @@ def differences(rows: Sequence[SceneRow]) -> dict[str, Any]:
                 for of in COMPARED
             }
     return {"to": first, "methods": result}
+
+
+def coverage(rows: Sequence[SceneRow]) -> list[dict[str, Any]]:
+    """Return the share of 90 % intervals that hold the truth, for each half and quantity.
+
+    `low` and `high` are its interval, clustered by scene; `factor` is the factor on the stated
+    deviations at which exactly 90 % would hold it.
+    """
+    table = []
+    for half, evaluation in (("development", False), ("evaluation", True)):
+        some = [row for row in rows if row.evaluation is evaluation]
+        for quantity in sorted({name for row in some for name in row.deviations}):
+            errors = [(r.scene, e) for r in some for e in r.deviations.get(quantity, [])]
+            parts = [(scene, float(error <= Z), 1.0) for scene, error in errors]
+            held, low, high = ratio_interval(parts, share=True)
+            factor = float(np.quantile([error for _, error in errors], LEVEL) / Z)
+            table.append(
+                {
+                    **{"half": half, "quantity": quantity, "n": len(errors)},
+                    **{"held": held, "low": low, "high": high, "factor": factor},
+                }
+            )
+    return table

@@ -39,7 +39,7 @@ def task_summary(rows: Sequence[SuccessRow]) -> dict[str, Any]:
             for kind in dict.fromkeys(row.kind for row in rows)
         },
         "failures": [
-            f"{row.task} start {row.start} {row.method}: {row.reason}"
+            f"{row.task} start {row.start} {row.label}: {row.reason}"
             for row in rows
             if not row.on_truth
         ],
@@ -52,8 +52,8 @@ def _figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
 
 
 def _by_method(rows: Sequence[SuccessRow]) -> Iterator[tuple[str, list[SuccessRow]]]:
-    for method in dict.fromkeys(row.method for row in rows):
-        yield method, [row for row in rows if row.method == method]
+    for label in dict.fromkeys(row.label for row in rows):
+        yield label, [row for row in rows if row.label == label]
 
 
 def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:

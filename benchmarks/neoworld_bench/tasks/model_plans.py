@@ -303,7 +303,7 @@ def scene_of_method(
     """Return the scene that a method reconstructs from a noisy response, at the task's place."""
     if method == TRUTH:
         return task.scene
-    job = MethodJob(task.name, start, (method,), settings, threads=1)
+    job = MethodJob(task.name, start, (method,), settings, 1, *settings.evidence)
     initial = job.initial(photo.scene, f"task/{task.name}", NoiseLog())
     outcomes = job.outcomes((method,), initial, photo.scene)
     return photo.back(dict(outcomes)[method].scene)

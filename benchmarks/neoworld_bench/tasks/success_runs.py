@@ -164,7 +164,7 @@ class SuccessRow(MethodRow):
     def summary(self) -> str:
         """Line of the log."""
         done = "done" if self.on_truth else f"not done ({self.reason})"
-        return f"{self.task} start {self.start} {self.method}: {done}, {self.seconds:.1f} s"
+        return f"{self.task} start {self.start} {self.label}: {done}, {self.seconds:.1f} s"
 
 
 def run_successes(

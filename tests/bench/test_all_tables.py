@@ -1,0 +1,55 @@
+"""All tables by one command: made once, and compared with earlier ones."""
+
+import json
+
+import pytest
+from neoworld_bench import all_tables
+
+from neoworld_mjx import cli
+from neoworld_mjx.errors import RunError
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    words = "engines --scenes crowded:3 --engine native --population 4 --duration 0.04"
+    monkeypatch.setattr(all_tables, "TABLES", {"rates": words})
+    monkeypatch.setattr(all_tables, "commit", lambda: "0123456789")
+    monkeypatch.setattr("neoworld_bench.machine.commit", lambda: "0123456789")
+
+
+def test_a_table_is_made_once_by_its_command(tiny, tmp_path):
+    made = all_tables.run_tables(tmp_path, (), 1, None)
+    assert made == {"files": ["rates.json"], "changes": []}
+    file = tmp_path / "rates.json"
+    result = json.loads(file.read_text())
+    assert [row["population"] for row in result["rows"]] == [4]
+    before = file.stat().st_mtime_ns
+    all_tables.run_tables(tmp_path, ("rates",), 1, None)
+    assert file.stat().st_mtime_ns == before
+    file.write_text(json.dumps({**result, "commit": "of another day"}))
+    all_tables.run_tables(tmp_path, (), 1, None)
+    assert json.loads(file.read_text())["commit"] == "0123456789"
+    file.write_text("[]")
+    with pytest.raises(RunError, match=r"rates\.json is no JSON object"):
+        all_tables.run_tables(tmp_path, (), 1, None)
+
+
+def test_figures_whose_intervals_do_not_overlap_are_listed():
+    def result(share, low, high, error):
+        figures = {"valid_rate": share, "valid_rate_interval": [low, high]}
+        figures |= {"xy_error_m": error, "xy_error_m_interval": [error, error]}
+        return {"n": 3, "methods": {"ours": {**figures, "p_pen_interval": [None, None]}}}
+
+    before, after = result(0.5, 0.4, 0.6, 0.01), result(0.8, 0.55, 0.9, 0.02)
+    assert list(all_tables.differences(before, after)) == ["methods: ours: xy_error_m 0.01 -> 0.02"]
+    assert list(all_tables.differences(before, before)) == []
+
+
+def test_an_unknown_table_is_refused(tmp_path, capfd):
+    with pytest.raises(SystemExit):
+        cli.main(["bench", "run", "all", "--out", str(tmp_path), "--tables", "scene", "--json"])
+    assert (
+        "tables: got 'scene', valid are: examples, scenes,"
+        in json.loads(capfd.readouterr().out)["error"]
+    )
+    assert list(tmp_path.iterdir()) == []
