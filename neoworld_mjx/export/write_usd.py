@@ -19,8 +19,7 @@ joints the stiffness of their limits for Newton's MuJoCo solver (`mjc:` attribut
 
 A textured material also states its plain color, which the connection to the texture overrides.
 
-Semantic labels state the class and category of the object, the names of its parts and materials,
-and the purpose of its joints.
+Semantic labels state the class of the object and the names of its parts and materials.
 """
 
 import math
@@ -34,7 +33,6 @@ from ..spec import GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import IDENTITY, Pose, pose
-from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .link_frames import Frame, frames, link_origins, unjoined_pairs
 from .write_glb import is_textured, piece_mesh, texture_file, visible_surface
@@ -57,7 +55,6 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     if spec.label:
         root.GetPrim().SetDisplayName(spec.label)
     add_label(root.GetPrim(), "class", spec.label or spec.name)
-    add_label(root.GetPrim(), "category", category(spec))
     if spec.joints:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
@@ -253,7 +250,6 @@ def _add_joint(
         "ball": UsdPhysics.SphericalJoint,
     }
     usd_joint = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
-    add_label(usd_joint.GetPrim(), "purpose", purpose(spec, joint))
     links = base.AppendChild("links")
     usd_joint.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
     usd_joint.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
