@@ -219,8 +219,8 @@ def _check_registration(depth: DepthImage, rgb: PhotoPixels) -> None:
         cause = _shift_phrase(given)
     else:
         cause = (
-            "it is of another photograph, or of a sensor next to the camera (align it with the "
-            "color image)"
+            "it is of another photograph, or of a sensor next to the camera (give its camera and "
+            "to_photo)"
         )
     raise EvidenceError(
         f"{depth.source}: its edges are not those of the photograph: {cause}. If it is right, give "
@@ -254,7 +254,7 @@ def _shift_phrase(given: _Registration) -> str:
     sides += f" and {abs(down):.0f} % {'down' if down > 0 else 'up'}"
     return (
         f"they fit if it is moved {sides} (of the width), so it is not registered; align the "
-        "sensor's depth with its color image"
+        "sensor's depth with its color image, or give the sensor's camera and to_photo"
     )
 
 

@@ -1,10 +1,11 @@
-"""Readers of depth images, which show the photograph's view.
+"""Readers of depth images, and their registration with the photograph.
 
 A depth image is a 16-bit PNG with a scale, or an .npy or .npz file. Its values are depths along the
 view (not distances from the camera) unless `kind` says otherwise. 0, NaN and infinite values are
 missing.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..errors import EvidenceError
 from ..io import file_bounds, open_image, read_arrays
 from ..io.files import MIB, read_bytes
 from .depth_image import MONOCULAR, DepthImage, DepthKind
+from .lens import Lens
 
 PNG_SCALE = 0.001
 """Meters per unit of a 16-bit PNG, if no scale is given."""
@@ -27,6 +29,8 @@ PLANE = 0.75
 """A surface without an edge differs over 3 pixels by at most this share of what it does over 5."""
 BETWEEN = 0.2
 """A flying pixel is farther than this share of the edge from both of its sides."""
+HOLES = 0.8
+"""Size of the pixels of a reprojected depth image, as a share of those of the sensor."""
 
 
 def read_depth(
@@ -169,6 +173,57 @@ def flying_pixels(
         edge = (near > FLYING * unit) & (near > PLANE * far)
         lone = np.minimum(high[0] - inverse, inverse - low[0]) > BETWEEN * near
     return known & edge & lone
+
+
+def registered(
+    depth: DepthImage, sensor: Lens, to_photo: Float[np.ndarray, "4 4"], photo: Lens
+) -> DepthImage:
+    """Return the depths of a sensor next to the camera as depths in the photograph's image.
+
+    Every pixel covers as many pixels of the result as it would at its depth; the nearest depth
+    wins.
+
+    Args:
+        depth: the depth image, of the kind metric.
+        sensor: the sensor's lens, for an image of the depth image's size.
+        to_photo: transform from the sensor's frame to that of the photograph's camera (OpenCV).
+        photo: the lens of the photograph, at any size.
+    """
+    if depth.kind != "metric":
+        raise EvidenceError(
+            f"{depth.source}: a sensor next to the camera needs metric depth, not {depth.kind}"
+        )
+    rows, columns = np.nonzero(np.isfinite(depth.values))
+    pixels = np.column_stack([columns + 0.5, rows + 0.5])
+    z = depth.values[rows, columns]
+    flat = sensor.slopes(pixels)
+    points = np.column_stack([flat * z[:, None], z]) @ to_photo[:3, :3].T + to_photo[:3, 3]
+    share = min(HOLES * sensor.focal[0] / photo.focal[0], 1.0)
+    width, height = (max(round(share * side), MIN_SIDE_PX) for side in photo.size)
+    ahead = points[:, 2] > 1e-3
+    points, rows, columns = points[ahead], rows[ahead], columns[ahead]
+    at = photo.project(points) * [width / photo.size[0], height / photo.size[1]]
+    u, v = np.floor(at).astype(int).T
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    order = np.flatnonzero(inside)
+    order = order[np.argsort(-points[order, 2], kind="stable")]  # The nearest is written last.
+    result = np.full((height, width), np.nan)
+    result[v[order], u[order]] = points[order, 2]
+    trust = None
+    if depth.confidence is not None:
+        trust = np.zeros((height, width))
+        trust[v[order], u[order]] = depth.confidence[rows[order], columns[order]]
+    seen_through = _hidden(result)
+    return replace(depth, values=np.where(seen_through, np.nan, result), confidence=trust)
+
+
+def _hidden(values: Float[np.ndarray, "row column"]) -> Bool[np.ndarray, "row column"]:
+    """Return pixels that show the background through gaps of a nearer surface."""
+    from scipy.ndimage import median_filter
+
+    filled = np.where(np.isfinite(values), values, np.inf)
+    median = median_filter(filled, size=3, mode="nearest")
+    return np.isfinite(values) & (values > (1 + FLYING) * median)
 
 
 def check_aspect(shape: tuple[int, ...], size: tuple[int, int], source: str) -> None:

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, no_type_check
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError, ValidationInfo
+from pydantic import Field, ValidationError
 
 from ..errors import EvidenceError
 from ..io.text_files import read_yaml, validation_message
@@ -13,10 +12,10 @@ from ..spec import Spec
 from ..spec.base import Name, Number, Vec3
 from .camera_files import camera_of_value, read_base, read_camera
 from .consistency import check_evidence
-from .depth_files import check_aspect, read_depth
+from .depth_files import check_aspect, read_depth, registered
 from .depth_image import DepthImage, DepthKind
 from .evidence import Evidence, PhotoPixels
-from .file_camera import FileCamera, known_camera
+from .file_camera import FileCamera, Rows, known_camera, photo_lens, rigid_problem
 from .known_objects import KnownObjects, KnownSize
 from .lens import pinhole_of, undistorted_image
 from .mask_files import read_masks
@@ -26,49 +25,38 @@ MAX_VIEWS = 20
 """Largest number of further photographs."""
 
 
-FOLDER = "folder"
-"""Key of the folder of an evidence file in the context of its validation."""
-
-
-@no_type_check  # Run-time type checkers cannot check the protocol of `info`.
-def _from_working_folder(path: str, info: ValidationInfo) -> str:
-    """Return a path that starts at the folder of the evidence file as one from the working folder.
-
-    Values from the command line and from Python have no such folder.
-    """
-    return path if info.context is None else str(info.context[FOLDER] / path)
-
-
-File = Annotated[str, Field(max_length=400), AfterValidator(_from_working_folder)]
-
-
 class StatedDepth(Spec):
     """A depth image in an evidence file."""
 
-    file: File
+    file: str = Field(max_length=400)
     scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Meters per unit; by default .001 for an image, and 1 for an array."""
     kind: DepthKind = "metric"
-    confidence: File | None = None
+    confidence: str | None = Field(default=None, max_length=400)
     """Image of the same size, from 0 to 1."""
     error: float | None = Field(default=None, ge=0, le=1)
     """Standard deviation of errors that neighboring pixels share, relative to the depth; by default
     .03 for affine depth and disparity, and 0 for metric depth."""
+    camera: str | None = Field(default=None, max_length=400)
+    """Camera of a sensor next to the photograph's camera; if not stated, the depth image shows the
+    photograph's view."""
+    to_photo: Rows | None = None
+    """Transform from the sensor's frame to that of the photograph's camera (OpenCV) [m]."""
 
 
 class StatedMasks(Spec):
     """Masks in an evidence file."""
 
-    file: File
-    names: File | None = None
+    file: str = Field(max_length=400)
+    names: str | None = Field(default=None, max_length=400)
     """JSON file with the number of each object."""
 
 
 class StatedView(Spec):
     """A further photograph in an evidence file."""
 
-    photo: File
-    camera: File | dict[str, object] | None = None
+    photo: str = Field(max_length=400)
+    camera: str | dict[str, object] | None = None
     """Its camera, with a pose in the same frame as that of the first photograph if it is known; by
     default, the file of the first photograph's camera, if it lists this photograph."""
     boxes: dict[Name, tuple[Number, Number, Number, Number]] = Field(default_factory=dict)
@@ -79,19 +67,19 @@ class StatedView(Spec):
 class StatedEvidence(Spec):
     """Contents of an evidence file. Paths are relative to the file."""
 
-    camera: File | dict[str, object] | None = None
+    camera: str | dict[str, object] | None = None
     """Camera file, or the camera itself."""
-    base: File | dict[str, object] | None = None
+    base: str | dict[str, object] | None = None
     """File with the pose of the camera in the base frame, or the pose itself."""
     gravity: Vec3 | None = None
     """Direction of gravity, in the camera's frame (OpenCV)."""
     ground: Number | None = None
     """Height of the scene's plane z = 0 in the base frame [m]."""
-    depth: File | StatedDepth | None = None
-    masks: File | StatedMasks | None = None
+    depth: str | StatedDepth | None = None
+    masks: str | StatedMasks | None = None
     views: tuple[StatedView, ...] = Field(default=(), max_length=MAX_VIEWS)
     """Further photographs of the scene."""
-    objects: dict[Name, File] = Field(default_factory=dict)
+    objects: dict[Name, str] = Field(default_factory=dict)
     """Files of assets that take the place of programs, by name of the object."""
     sizes: dict[Name, KnownSize] = Field(default_factory=dict)
     """Known sizes, by name of the object."""
@@ -110,7 +98,7 @@ class StatedEvidence(Spec):
     def files(self) -> list[str]:
         """Paths of the files and folders that the evidence names."""
         entries = (self.camera, self.base, self.depth, self.masks)
-        named = ("file", "confidence", "names")
+        named = ("file", "confidence", "camera", "names")
         inner = [
             getattr(e, name, None)
             for e in entries
@@ -139,11 +127,34 @@ def read_stated(path: Path) -> StatedEvidence:
     """
     path = Path(path)
     try:
-        value = read_yaml(path, "evidence", EvidenceError)
-        return StatedEvidence.model_validate(value, context={FOLDER: path.parent})
+        stated = StatedEvidence.model_validate(read_yaml(path, "evidence", EvidenceError))
     except ValidationError as error:
         reason = validation_message(error, StatedEvidence)[:600]
         raise EvidenceError(f"{path} is no evidence file: {reason}") from None
+    return _moved(stated, path.parent)
+
+
+def _moved(stated: StatedEvidence, folder: Path) -> StatedEvidence:
+    """Return evidence whose relative paths start at a folder."""
+    at = lambda value: str(folder / value) if isinstance(value, str) else value
+    update: dict[str, object] = {}
+    for name in ("camera", "base", "depth", "masks"):
+        value = getattr(stated, name)
+        if isinstance(value, StatedDepth):
+            files = {"file": at(value.file), "confidence": at(value.confidence)}
+            value = value.model_copy(update=files | {"camera": at(value.camera)})
+        elif isinstance(value, StatedMasks):
+            value = value.model_copy(update={"file": at(value.file), "names": at(value.names)})
+        if name in stated.model_fields_set:
+            update[name] = at(value)
+    if stated.views:
+        update["views"] = tuple(
+            view.model_copy(update={"photo": at(view.photo), "camera": at(view.camera)})
+            for view in stated.views
+        )
+    if stated.objects:
+        update["objects"] = {name: at(file) for name, file in stated.objects.items()}
+    return stated.model_copy(update=update)
 
 
 def evidence_of(
@@ -168,7 +179,7 @@ def evidence_of(
     known, lens = (None, None) if camera is None else known_camera(camera, size, source)
     depth = None
     if stated.depth is not None:
-        depth = _depth(stated.depth, camera)
+        depth = _depth(stated.depth, camera, size, source)
         check_aspect(depth.values.shape, size, depth.source)
     masks = None
     if stated.masks is not None:
@@ -233,19 +244,39 @@ def _validated(camera: FileCamera) -> FileCamera:
         raise EvidenceError(validation_message(error, FileCamera)[:600]) from None
 
 
-def _depth(stated: str | StatedDepth, camera: FileCamera | None) -> DepthImage:
+def _depth(
+    stated: str | StatedDepth, camera: FileCamera | None, size: tuple[int, int], source: str
+) -> DepthImage:
     given = StatedDepth(file=stated) if isinstance(stated, str) else stated
     scale = given.scale
     image = Path(given.file).suffix.lower() not in (".npy", ".npz")
     if scale is None and image and camera is not None and camera.depth_scale is not None:
         scale = camera.depth_scale / 1000
-    return read_depth(
+    depth = read_depth(
         Path(given.file),
         scale=scale,
         kind=given.kind,
         confidence=None if given.confidence is None else Path(given.confidence),
         smooth_sd=given.error,
     )
+    if given.camera is None and given.to_photo is None:
+        return depth
+    if given.camera is None or given.to_photo is None:
+        raise EvidenceError(
+            f"{depth.source}: give both camera and to_photo of a sensor next to the camera, or "
+            "neither"
+        )
+    if problem := rigid_problem(np.array(given.to_photo)):
+        raise EvidenceError(f"{depth.source}: to_photo: {problem}")
+    rows, columns = depth.values.shape
+    sensor_file = read_camera(Path(given.camera))
+    sensor = photo_lens(sensor_file, (columns, rows), Path(given.camera).name)
+    photo = None if camera is None else photo_lens(camera, size, source)
+    if sensor is None or photo is None:
+        raise EvidenceError(
+            f"{depth.source}: a sensor next to the camera needs fx, fy, cx and cy of both cameras"
+        )
+    return registered(depth, sensor, np.array(given.to_photo), photo)
 
 
 def undistorted(evidence: Evidence) -> Evidence:

@@ -25,12 +25,14 @@ from ..estimate.image_lines import EdgeRegion, VerticalEdges, vertical_edges
 from ..estimate.priors import is_slab
 from ..estimate.projection import outline_of
 from ..estimate.tree_checks import SceneIssue, check_score, check_tree
+from ..evidence.depth_image import DepthImage
 from ..evidence.known_camera import KnownCamera, with_known_camera
 from ..evidence.known_objects import KnownObjects
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
 from .draw import draw_parse
+from .draw_measured import draw_measured
 from .object_schema import error_line
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
@@ -238,6 +240,7 @@ async def parse(
     options: ParseOptions | None = None,
     *,
     known: KnownCamera | None = None,
+    depth: DepthImage | None = None,
     objects: KnownObjects | None = None,
 ) -> Parsed:
     """Parse a photograph into a scene tree.
@@ -248,6 +251,7 @@ async def parse(
         options: number of rounds, and whether to fit.
         known: what is known of the camera. Its values replace those of a response, whose objects
             keep their pixels.
+        depth: a depth image of the photograph's view, which models are shown if it is metric.
         objects: what is known of single objects, whose names the model is told.
 
     Raises:
@@ -256,7 +260,8 @@ async def parse(
     options, objects = options or ParseOptions(), objects or KnownObjects()
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
-    response = (await models.ask(parse_request(photo, known, objects.names))).value
+    measured = draw_measured(photo, known, depth)
+    response = (await models.ask(parse_request(photo, known, measured, objects.names))).value
     attempt = await fit_and_check(photo, response, options, known, objects)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
@@ -270,7 +275,7 @@ async def parse(
         if not remaining or not attempt.corrections:
             break
         request = correction_request(
-            *(photo, attempt.response, attempt.corrections, known, objects.names)
+            *(photo, attempt.response, attempt.corrections, known, measured, objects.names)
         )
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture, Request, package_text
+from .draw_measured import STEP_M, TOLD_SD, MeasuredPicture
 from .photo import Photo
 from .schema import ParsedScene, SceneCorrection
 
@@ -22,6 +23,19 @@ KNOWN_CAMERA = (
 KNOWN_OBJECTS = (
     "\n\nThe user knows some of the objects: {names}. Give an object exactly this name if it is "
     "the one that the name describes."
+)
+MEASURED_PICTURE = (
+    "\n\nThe second picture is the same photograph with measurements drawn on it. Read numbers "
+    "from it, and boxes and colors from the first."
+)
+GROUND_GRID = (
+    " Its lines are the plane z = 0, every {step:.0f} cm, bold every meter; their labels are x "
+    "(ahead) and y (to the left) in meters. They are drawn over everything: read the position of "
+    "an object where it touches z = 0, not where lines cross its body."
+)
+MEASURED_DEPTHS = (
+    " Each number on white is the measured depth at the dot to its left, in meters along the view: "
+    "what appears s pixels wide there at depth d is s * d / f wide."
 )
 REPAIR_PROMPT = (
     "{ask}\n\nYour previous response was:\n\n{response}\n\nIt was compared with the photograph and "
@@ -38,8 +52,6 @@ FINDINGS_PROMPT = (
     "Put into `dismissed` the numbers of the findings that the photograph shows not to be "
     "faults.\n\n"
 )
-TOLD_SD = 0.01
-"""Largest standard deviation of a focal length, relative to it, of which models are told."""
 
 
 class SceneFault(BaseModel):
@@ -86,6 +98,7 @@ class SceneCritique(BaseModel):
 def parse_request(
     photo: Photo,
     known: KnownCamera | None = None,
+    measured: MeasuredPicture | None = None,
     names: Sequence[str] = (),
 ) -> Request[ParsedScene]:
     """Return the request for the scene in a photo.
@@ -93,19 +106,25 @@ def parse_request(
     Args:
         photo: the photograph.
         known: what is known of the camera.
+        measured: the photograph with measurements, if there are any.
         names: names of the objects of which the user knows something.
     """
     return Request(
         role="reasoner",
         name="parse",
         system=package_text(__package__, "reasoner"),
-        prompt=_request_prompt(photo, known, names),
+        prompt=_request_prompt(photo, known, measured, names),
         schema=ParsedScene,
-        pictures=[Picture.of("photo", photo.rgb)],
+        pictures=_pictures(photo, measured),
     )
 
 
-def _request_prompt(photo: Photo, known: KnownCamera | None, names: Sequence[str]) -> str:
+def _request_prompt(
+    photo: Photo,
+    known: KnownCamera | None,
+    measured: MeasuredPicture | None,
+    names: Sequence[str],
+) -> str:
     width, height = photo.size
     prompt = REQUEST_PROMPT.format(width=width, height=height)
     values = [] if known is None else _known_values(known)
@@ -113,7 +132,16 @@ def _request_prompt(photo: Photo, known: KnownCamera | None, names: Sequence[str
         prompt += KNOWN_CAMERA.format(values=", ".join(values))
     if names:
         prompt += KNOWN_OBJECTS.format(names=", ".join(names))
+    if measured is not None:
+        prompt += MEASURED_PICTURE
+        prompt += GROUND_GRID.format(step=100 * STEP_M) if measured.grid else ""
+        prompt += MEASURED_DEPTHS if measured.depths else ""
     return prompt
+
+
+def _pictures(photo: Photo, measured: MeasuredPicture | None) -> list[Picture]:
+    pictures = [Picture.of("photo", photo.rgb)]
+    return pictures if measured is None else [*pictures, measured.picture]
 
 
 def _known_values(known: KnownCamera) -> list[str]:
@@ -135,6 +163,7 @@ def correction_request(
     response: ParsedScene,
     findings: Sequence[str],
     known: KnownCamera | None = None,
+    measured: MeasuredPicture | None = None,
     names: Sequence[str] = (),
 ) -> Request[SceneCorrection]:
     """Return the request for the correction of a response.
@@ -144,10 +173,11 @@ def correction_request(
         response: the response to correct.
         findings: faults of the response, each as one line.
         known: what is known of the camera.
+        measured: the photograph with measurements, if there are any.
         names: names of the objects of which the user knows something.
     """
     prompt = REPAIR_PROMPT.format(
-        ask=_request_prompt(photo, known, names),
+        ask=_request_prompt(photo, known, measured, names),
         response=response.model_dump_json(indent=1),
         findings="\n".join(f"- {line}" for line in findings),
     )
@@ -157,7 +187,7 @@ def correction_request(
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
         schema=SceneCorrection,
-        pictures=[Picture.of("photo", photo.rgb)],
+        pictures=_pictures(photo, measured),
     )
 
 

@@ -65,7 +65,12 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
     with run.step("parse", inputs) as out:
         assert out is not None
         parsed = run_coroutine(
-            parse(photo, models, options, known=known.camera, objects=known.objects)
+            parse(
+                *(photo, models, options),
+                known=known.camera,
+                depth=known.depth,
+                objects=known.objects,
+            )
         )
         if known.depth is not None:
             check_distances(known.depth, parsed.response_tree)

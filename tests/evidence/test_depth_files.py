@@ -1,4 +1,4 @@
-"""Depth images: formats, missing values, and flying pixels."""
+"""Depth images: formats, missing values, flying pixels, and sensors next to the camera."""
 
 import json
 
@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.errors import EvidenceError
-from neoworld_mjx.evidence.depth_files import flying_pixels, read_depth
+from neoworld_mjx.evidence.depth_files import flying_pixels, read_depth, registered
+from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence_file import StatedEvidence, evidence_of
+from neoworld_mjx.evidence.lens import Lens
 from tests.support.made_up_view import BOXES, DEPTHS, depth
 
 
@@ -82,12 +84,59 @@ def test_flying_pixels_between_two_surfaces_are_removed_and_no_others():
     assert flying.mean() < 1e-3
 
 
-def test_scale_of_bop_in_an_evidence_file(tmp_path):
-    values = np.linspace(1.0, 1.7, 320) + np.zeros((240, 1))
+def boxes_seen_by(lens, offset=(0.0, 0.0, 0.0)):
+    """Return depths of a wall at 1.5 m with a square at .8 m, seen from an offset camera."""
+    width, height = lens.size
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    flat = lens.slopes(np.stack([u, v], axis=-1))
+    near = flat * (0.8 - offset[2]) + offset[:2]
+    square = np.abs(near).max(axis=-1) < 0.15
+    return np.where(square, 0.8, 1.5) - offset[2]
+
+
+def test_depth_of_a_sensor_beside_the_camera_is_seen_from_the_camera():
+    photo = Lens((320, 240), (300.0, 300.0), (160.0, 120.0))
+    sensor = Lens((212, 160), (190.0, 190.0), (106.0, 80.0))
+    offset = np.array([0.06, -0.02, 0.01])  # Of the sensor in the photograph's camera.
+    to_photo = np.eye(4)
+    to_photo[:3, 3] = offset
+    given = DepthImage(boxes_seen_by(sensor, offset), confidence=np.ones((160, 212)))
+    read = registered(given, sensor, to_photo, photo)
+    rows, columns = read.values.shape
+    small = Lens(
+        (columns, rows),
+        (300.0 * columns / 320, 300.0 * rows / 240),
+        (160.0 * columns / 320, 120.0 * rows / 240),
+    )
+    expected, known = boxes_seen_by(small), np.isfinite(read.values)
+    assert known[10:-10, 30:-10].mean() > 0.85
+    off = np.abs(read.values - expected) > 0.02
+    assert (off & known).mean() < 0.01
+    # The square is nearer than the wall beside it, which it hides from the camera.
+    assert (read.values[known & (expected < 1)] < 0.85).mean() > 0.97
+    assert set(np.unique(read.confidence[known])) == {1.0}
+
+
+def test_sensor_beside_the_camera_and_scale_of_bop_in_an_evidence_file(tmp_path):
+    photo = Lens((320, 240), (300.0, 300.0), (160.0, 120.0))
+    values = boxes_seen_by(photo)
     png16(tmp_path / "depth.png", values, 10_000)
     lens = {"cam_K": [300, 0, 159.5, 0, 300, 119.5, 0, 0, 1], "depth_scale": 0.1}
     (tmp_path / "scene_camera.json").write_text(json.dumps({"3": lens}))
-    files = {"camera": str(tmp_path / "scene_camera.json"), "depth": str(tmp_path / "depth.png")}
-    stated = StatedEvidence(**files, check=False)
+    sensor = {"fx": 300, "fy": 300, "cx": 159.5, "cy": 119.5}
+    (tmp_path / "sensor.json").write_text(json.dumps(sensor))
+    to_photo = np.eye(4)
+    to_photo[2, 3] = 0.2  # The sensor is 20 cm ahead of the camera.
+    stated = StatedEvidence(
+        camera=str(tmp_path / "scene_camera.json"),
+        depth={
+            "file": str(tmp_path / "depth.png"),
+            "camera": str(tmp_path / "sensor.json"),
+            "to_photo": to_photo.tolist(),
+        },
+        check=False,
+    )
     read = evidence_of(stated, "000003.png", np.zeros((240, 320, 3), np.uint8), (320, 240))
-    assert np.allclose(read.depth.values, values, atol=1e-4)
+    known = read.depth.values[np.isfinite(read.depth.values)]
+    assert known.min() == pytest.approx(1.0, abs=1e-3)
+    assert known.max() == pytest.approx(1.7, abs=1e-3)

@@ -5,6 +5,7 @@ import copy
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -18,8 +19,11 @@ from neoworld_mjx.estimate.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored
+from neoworld_mjx.mllm.replay import Tape
+from neoworld_mjx.parse.draw_measured import draw_measured
 from neoworld_mjx.parse.parse import parse
-from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.parse.photo import MODEL_MIN_SIDE_PX, load_photo
+from neoworld_mjx.parse.prompts import parse_request
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import write_annotated
 from neoworld_mjx.pipeline.given_evidence import evidence_of_run
@@ -62,6 +66,18 @@ def write_example(folder):
     return folder / "evidence.yaml"
 
 
+def tape_with(folder, photo, *depths):
+    """Write the bundled tape, with its parse also as the response to requests that show depths."""
+    tape = Tape.load(Path(nw.__file__).parent / "data" / "tapes" / "coffee.tape.json")
+    picture = load_photo(photo, min_side_px=MODEL_MIN_SIDE_PX)
+    parsed = next(entry for entry in tape.answers.values() if entry.name == "parse")
+    for values in depths:
+        request = parse_request(picture, None, draw_measured(picture, None, values))
+        tape.answers[request.key] = parsed
+    tape.save(folder / "depths.tape.json")
+    return (folder / "depths.tape.json",)
+
+
 def test_one_file_names_all_evidence(tmp_path):
     read = nw.read_evidence(write_example(tmp_path), tmp_path / "photo.png")
     assert (
@@ -88,6 +104,7 @@ def test_flags_take_precedence_over_the_file(tmp_path, monkeypatch):
         ("depth: {file: a.png, kind: relative}", "kind"),
         ("camera: no.json", "cannot read camera .*no.json"),
         ("ground: 0.1", "give the pose of the camera by base"),
+        ("depth: {file: files/depth.npy, camera: files/camera.json}", "both camera and to_photo"),
         ("base: files/camera.json", "states no pose: give the 4 x 4 transform"),
         ("[1, 2]", "no evidence file"),
     ],
@@ -120,7 +137,10 @@ def test_runs_keep_their_evidence_and_notice_changes(tmp_path, photo, quick_conf
     values = np.linspace(0.3, 0.5, 400)[:, None] + np.zeros((1, 600))
     image = nw.DepthImage(values, source="sensor.png")
     other = nw.DepthImage(values + 0.01, source="sensor.png")
-    run = lambda **kwargs: reconstruct(photo, out, quick_config, until="parse", **kwargs)
+    tapes = tape_with(tmp_path, photo, image, other)
+    run = lambda **kwargs: reconstruct(
+        photo, out, quick_config, until="parse", tapes=tapes, **kwargs
+    )
     written = lambda: (out / "tree.json").stat().st_mtime_ns
     run(evidence=nw.Evidence(depth=image))
     data = json.loads((out / "run.json").read_text())
@@ -170,7 +190,10 @@ def test_evidence_of_a_run_is_not_read_through_links(tmp_path, photo):
 def test_depth_in_another_unit_than_the_response_is_refused(tmp_path, photo, quick_config):
     values = np.linspace(3.0, 5.0, 400)[:, None] + np.zeros((1, 600))
     given = nw.Evidence(depth=nw.DepthImage(values, source="depth.png"))
-    run = lambda: reconstruct(photo, tmp_path / "out", quick_config, until="parse", evidence=given)
+    tapes = tape_with(tmp_path, photo, given.depth)
+    run = lambda: reconstruct(
+        photo, tmp_path / "out", quick_config, until="parse", evidence=given, tapes=tapes
+    )
     with pytest.raises(EvidenceError, match=r"depth\.png: its depths are .* times the distances"):
         run()
 
