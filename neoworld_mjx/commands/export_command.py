@@ -28,8 +28,7 @@ class ExportCommand(ConfiguredCommand):
     """Format to write; repeatable. Default: all."""
     simulator: Annotated[Simulator | None, arg(name="for")] = None
     """Simulator for which files are written, by default in the formats that suit it best. For mjx,
-    colliders are converted to supported ones. For newton, a layer newton.usda is written in
-    addition to the USD file, with this simulator's contacts and joints."""
+    colliders are converted to supported ones."""
     floor: bool = False
     """Add an infinite floor plane at z = 0, or below the lowest free object (MJCF)."""
     overwrite: bool = False

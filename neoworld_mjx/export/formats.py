@@ -20,7 +20,6 @@ from ..spec import (
     pieces,
     world_poses,
 )
-from .usd_layers import newton_text
 from .write_drives import drives_text
 from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
 from .write_mjcf import mjcf_text
@@ -143,8 +142,8 @@ def write_formats(
         described: the scene or object.
         out: the folder.
         kinds: the formats.
-        simulator: simulator that will load the files: "mjx" restricts MJCF to colliders that MJX
-            supports; "newton" adds a USD layer, newton.usda.
+        simulator: simulator that will load the files; "mjx" restricts MJCF to colliders that MJX
+            supports.
         floor: if True, MJCF contains an infinite floor at z = 0, or lower if a free object reaches
             lower.
 
@@ -152,8 +151,6 @@ def write_formats(
         ExportError: a file cannot be written.
     """
     files = _files(described, kinds, mjx=simulator == "mjx", floor=floor)
-    if simulator == "newton" and "usd" in kinds:
-        files["newton.usda"] = newton_text(described, f"{_stem(described)}.usdc").encode()
     _write(files, out)
     return sorted(files)
 

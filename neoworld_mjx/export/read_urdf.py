@@ -22,12 +22,10 @@ from .mechanism import (
     Link,
     LinkShape,
     Mechanism,
-    Triangles,
     check_tree,
     visual_shapes,
 )
 from .mesh_colors import Color, Surface, small_image
-from .write_urdf import CLEARANCE_M, original_half
 
 XACRO = "xacro"
 WORLD_LINK = re.compile(r"world([_-]?(link|base|frame))?", re.IGNORECASE)
@@ -86,18 +84,8 @@ def read_urdf(path: Path) -> Mechanism:
     # A material may be defined in a visual, and used in others by its name.
     defined = [*robot.materials, *(v.material for link in robot.links for v in link.visuals)]
     colors = {m.name: color for m in defined if m and (color := _stated_color(path, m, notes))}
-    shrunk = {mark.get("link") for mark in root.findall("neoworld/drawn_in")}
     links = [
-        _link(
-            path,
-            link,
-            frames[link.name],
-            colors,
-            capsules,
-            _friction(root, link.name),
-            CLEARANCE_M if link.name in shrunk else 0.0,
-            notes,
-        )
+        _link(path, link, frames[link.name], colors, capsules, _friction(root, link.name), notes)
         for link in robot.links
     ]
     # A file without any collider shows objects whose colliders are derived.
@@ -113,13 +101,6 @@ def read_urdf(path: Path) -> Mechanism:
         joints.append(_joint(path, joint, frames[joint.child], ignored))
         if joint.type == "planar":
             links += _split_planar(joint, frames[joint.child], joints, notes)
-    for mark in root.findall("neoworld/unstated"):
-        unstated = {k: None for k in ("effort", "velocity") if k in mark.get("limits", "").split()}
-        joints = [
-            j.model_copy(update=unstated) if j.name == mark.get("joint") else j for j in joints
-        ]
-    for mark in root.findall("neoworld/ball"):
-        _fold_ball(mark.get("joint") or "", links, joints, notes)
     world.static = fixed and not free and not world.mass
     sites = _fold_frames(links, joints)
     by_name = {link.name: link for link in links}
@@ -226,54 +207,6 @@ def _friction(root: ET.Element, link: str) -> float:
         return 0.5
 
 
-def _fold_ball(name: str, links: list[Link], joints: list[JointSpec], notes: list[str]) -> None:
-    """Restore a ball joint that `write_urdf` wrote as three hinges with two links between them."""
-    by_name = {joint.name: joint for joint in joints}
-    hinges = [by_name.get(f"{name}_{axis}") for axis in "xyz"]
-    inner = [f"{name}_{axis}_link" for axis in "xy"]
-    ends = [(joint.parent, joint.child) for joint in joints]
-    empty_links = {link.name for link in links if not link.shapes}
-    first, middle, last = hinges
-    complete = False
-    if first and middle and last and _is_ball(first, middle, last):
-        chain = [(first.parent, inner[0]), (inner[0], inner[1]), (inner[1], last.child)]
-        joined = [end for end in ends if set(end) & set(inner)]
-        complete = joined == chain and empty_links.issuperset(inner)
-    if not complete:
-        notes.append(f"ball joint {name} was edited: imported as separate hinges")
-        return
-    assert first is not None and last is not None
-    ball = first.model_copy(
-        update={"name": name, "type": "ball", "child": last.child, "axis": (0.0, 0.0, 1.0)}
-        | {"lower": 0.0, "effort": None, "velocity": None}
-    )
-    joints[:] = [ball if j is first else j for j in joints if j is first or j not in hinges]
-    links[:] = [link for link in links if link.name not in inner]
-
-
-def _is_ball(*hinges: JointSpec) -> bool:
-    """Return True if three hinges are those that `write_urdf` writes for a ball joint.
-
-    The hinges have the same anchor, damping and friction, the axes x, y and z, and symmetric limits
-    that follow from the limit of the first hinge.
-    """
-    first, middle, _ = hinges
-    same = all(
-        h.type == first.type
-        and h.mimic is None
-        and h.type in ("revolute", "continuous")
-        and np.allclose(h.pos, first.pos, atol=1e-6)
-        and np.allclose(h.axis, axis, atol=1e-6)
-        and np.allclose((h.damping, h.friction), (first.damping, first.friction))
-        and np.isclose(h.lower, -h.upper)
-        for h, axis in zip(hinges, np.eye(3), strict=True)
-    )
-    middle_upper = min(first.upper, math.pi / 2)
-    return same and bool(
-        np.isclose(middle.upper, middle_upper) and np.isclose(hinges[2].upper, first.upper)
-    )
-
-
 def _check_names(path: Path, root: ET.Element) -> None:
     """Refuse a file with missing names, for which yourdfpy raises no useful error."""
     for joint in root.findall("joint"):
@@ -306,7 +239,6 @@ def _link(
     colors: dict[str, Color],
     capsules: set[tuple[str, str, int]],
     friction: float,
-    clearance: float,
     notes: list[str],
 ) -> Link:
     result = Link(link.name)
@@ -321,14 +253,15 @@ def _link(
             result.shapes += visual_shapes(surfaces, pose, [k] * len(surfaces), rgba)
             notes += [] if rgba else [f"link {link.name}: {note}" for note in dict.fromkeys(looks)]
         else:
-            shape, pose = _primitive(path, item, link.name, frame, 0.0, capsule=capsule)
+            shape, pose = _primitive(path, item, link.name, frame, capsule=capsule)
             result.shapes.append(LinkShape(shape, pose, "visual", rgba or GRAY))
     for k, item in enumerate(link.collisions):
         if item.geometry.mesh is not None:
-            shape, pose = _collider(path, item, frame, clearance)
+            surfaces, pose = _surfaces(path, item, frame, [])
+            shape = joined(surfaces)
         else:
             capsule = (link.name, "collision", k) in capsules
-            shape, pose = _primitive(path, item, link.name, frame, clearance, capsule=capsule)
+            shape, pose = _primitive(path, item, link.name, frame, capsule=capsule)
         result.shapes.append(LinkShape(shape, pose, "collision", friction=friction))
     inertial = link.inertial
     if inertial is not None and inertial.mass is not None:
@@ -341,29 +274,21 @@ def _link(
 
 
 def _primitive(
-    path: Path, item: Any, link: str, frame: NDArray, clearance: float, *, capsule: bool
+    path: Path, item: Any, link: str, frame: NDArray, *, capsule: bool
 ) -> tuple[BaseShape, NDArray]:
-    """Return the shape of a visual or a collision, and its pose in the root frame.
-
-    If `clearance` is not 0, the shape is enlarged to the size before `write_urdf` shrank it.
-    """
+    """Return the shape of a visual or a collision, and its pose in the root frame."""
     pose = frame if item.origin is None else frame @ item.origin
     geometry = item.geometry
-
-    def original(size: Any) -> float:
-        half = float(size) / 2
-        return 2 * (original_half(half, clearance) if clearance and half > 0 else half)
-
     try:
         if geometry.box is not None:
-            x, y, z = (original(v) for v in geometry.box.size)
+            x, y, z = (float(v) for v in geometry.box.size)
             return Box(size=(x, y, z)), pose
         if geometry.sphere is not None:
-            return Sphere(radius=original(2 * float(geometry.sphere.radius)) / 2), pose
-        radius = original(2 * float(geometry.cylinder.radius)) / 2
+            return Sphere(radius=float(geometry.sphere.radius)), pose
+        radius, length = float(geometry.cylinder.radius), float(geometry.cylinder.length)
         if capsule:
-            return Capsule(radius=radius, length=float(geometry.cylinder.length)), pose
-        return Cylinder(radius=radius, height=original(geometry.cylinder.length)), pose
+            return Capsule(radius=radius, length=length), pose
+        return Cylinder(radius=radius, height=length), pose
     except (ValueError, TypeError):
         raise SpecError(f"{path}: link {link} has a shape whose size is not positive") from None
 
@@ -379,22 +304,6 @@ def _surfaces(
         surface._replace(vertices=surface.vertices * scale, faces=surface.faces[:, ::turn])
         for surface in load_surfaces(inside(path, mesh.filename), notes)
     ], pose
-
-
-def _collider(path: Path, item: Any, frame: NDArray, clearance: float) -> tuple[Triangles, NDArray]:
-    """Return the mesh of a collision, and its pose in the root frame.
-
-    If `clearance` is not 0, the mesh has the size before `write_urdf` shrank it about its middle.
-    """
-    surfaces, pose = _surfaces(path, item, frame, [])
-    vertices, faces = joined(surfaces)
-    if clearance and item.geometry.mesh.scale is not None:
-        scale = np.ones(3) * np.asarray(item.geometry.mesh.scale, float)
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 / scale
-        shift = np.eye(4)
-        shift[:3, 3] = -middle * (1 - scale)
-        return (vertices / scale, faces), pose @ shift
-    return (vertices, faces), pose
 
 
 def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpec:

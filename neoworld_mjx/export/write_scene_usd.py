@@ -6,8 +6,10 @@
 
 A static object without movable joints has colliders but no rigid bodies; a static object with
 movable joints is fixed in the world by a joint. A joint that is not at zero states its position in
-PhysicsJointStateAPI, which PhysX reads. If an object has the name of a prim in this list,
-underscores are appended to the name of this prim.
+PhysicsJointStateAPI, which PhysX reads, and in an attribute of Newton. The `mjc:` attributes are
+for Newton's MuJoCo solver, which reads them after
+`newton.solvers.SolverMuJoCo.register_custom_attributes(builder)`. If an object has the name of a
+prim in this list, underscores are appended to the name of this prim.
 """
 
 import math
@@ -16,6 +18,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics
 
 from ..io.names import unused
+from ..physics.mjcf import IMPRATIO
 from ..spec import Camera, SceneObject, SceneSpec, joint_value, link_poses, world_poses
 from ..spec.pose import Pose, pose
 from .link_frames import link_origins
@@ -29,7 +32,7 @@ def scene_usd_layer(scene: SceneSpec, suffix: str) -> Sdf.Layer:
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root.GetPrim()).SetKind("assembly")
     base = root.GetPath()
-    _add_physics(stage, physics_path(scene), scene)
+    _add_physics(stage, _free(scene, "physics"), scene)
     _add_lights(stage, _free(scene, "lights"))
     if scene.camera is not None:
         _add_camera(stage, _free(scene, "photo"), scene.camera)
@@ -47,11 +50,6 @@ def scene_usd_layer(scene: SceneSpec, suffix: str) -> Sdf.Layer:
         prim = layer.GetPrimAtPath(base.AppendChild(item.name))
         prim.referenceList.Prepend(Sdf.Reference(f"./objects/{item.name}/object.{suffix}"))
     return layer
-
-
-def physics_path(scene: SceneSpec) -> Sdf.Path:
-    """Return the path of the prim that states gravity."""
-    return _free(scene, "physics")
 
 
 def fixture_path(scene: SceneSpec, item: SceneObject) -> Sdf.Path | None:
@@ -80,6 +78,13 @@ def _add_physics(stage: Usd.Stage, path: Sdf.Path, scene: SceneSpec) -> None:
     down = gravity / size if size > 0 else np.array([0.0, 0.0, -1.0])
     physics.CreateGravityDirectionAttr(Gf.Vec3f(*down.tolist()))
     physics.CreateGravityMagnitudeAttr(size)
+    # By default, each pair of convex pieces has one contact point in Newton, and friction is soft.
+    for name, kind, value in (
+        ("mjc:option:cone", Sdf.ValueTypeNames.Token, "elliptic"),
+        ("mjc:option:impratio", Sdf.ValueTypeNames.Double, IMPRATIO),
+        ("mjc:flag:multiccd", Sdf.ValueTypeNames.Bool, True),
+    ):
+        _override(physics.GetPrim(), name, kind, value)
 
 
 def _add_lights(stage: Usd.Stage, path: Sdf.Path) -> None:
@@ -149,6 +154,7 @@ def _add_object(stage: Usd.Stage, path: Sdf.Path, item: SceneObject, world: Pose
             position = value if instance == "linear" else math.degrees(value)
             set_float(over, f"state:{instance}:physics:position", position)
             set_float(over, f"state:{instance}:physics:velocity", 0.0)
+            set_float(over, f"newton:{instance}:position", position)
 
 
 def remove_schemas(prim: Usd.Prim, *names: str) -> None:

@@ -8,8 +8,7 @@ of joints are omitted, because URDF cannot store them.
 A capsule becomes a cylinder and two spheres, and an ellipsoid becomes a mesh. A ball joint becomes
 three hinges <joint>_x, <joint>_y and <joint>_z through one point, with two links of tiny mass
 between them; the middle hinge turns by at most a quarter turn in each direction. The element
-<neoworld>, which other readers ignore, lists frictions, ball joints, shrunk links and the limits
-that the object does not state. `read_urdf` uses this element to restore the object.
+<neoworld>, which other readers ignore, lists the mean frictions for `read_urdf`.
 
 Parts that a joint connects may touch, because they never collide in MuJoCo. URDF cannot exclude
 collisions, so in some simulators a drawer would jam in its case. Therefore the colliders of moving
@@ -53,19 +52,11 @@ def urdf_text(spec: ObjectSpec) -> str:
     )
     group = welded(spec)
     moving = {part.name for part in spec.parts if group[part.name] != group[spec.root]}
-    unstated = {joint.name: limits for joint in spec.joints if (limits := _unstated(joint))}
     origins, links = link_origins(spec), link_names(spec)
     mark = ET.SubElement(robot, "neoworld")
-    for name, limits in unstated.items():
-        ET.SubElement(mark, "unstated", joint=name, limits=limits)
-    for joint in spec.joints:
-        if joint.type == "ball":
-            ET.SubElement(mark, "ball", joint=joint.name)
     for part in spec.parts:
         friction = number(round(_mean_friction(spec, part), 4))
         ET.SubElement(mark, "friction", link=links[part.name], value=friction)
-        if part.name in moving:
-            ET.SubElement(mark, "drawn_in", link=part.name)
     for material in spec.materials:
         look = ET.SubElement(robot, "material", name=material.name)
         ET.SubElement(look, "color", rgba=numbers(material.rgba))
@@ -204,12 +195,6 @@ def shrunk(half: float, clearance: float) -> float:
     return half - min(clearance, MAX_SHRINKAGE * half)
 
 
-def original_half(half: float, clearance: float) -> float:
-    """Invert `shrunk`."""
-    original = half + clearance
-    return original if MAX_SHRINKAGE * original >= clearance else half / (1 - MAX_SHRINKAGE)
-
-
 def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> None:
     element = ET.SubElement(robot, "joint", name=joint.name, type=joint.type)
     _origin(element, pose(np.array(joint.pos) - parent_origin))
@@ -236,14 +221,6 @@ def _add_joint(robot: ET.Element, joint: JointSpec, parent_origin: NDArray) -> N
             multiplier=number(joint.mimic.multiplier),
             offset=number(joint.mimic.offset),
         )
-
-
-def _unstated(joint: JointSpec) -> str:
-    """Return the names of limits that URDF requires but the object does not state."""
-    if joint.type not in ("revolute", "prismatic", "continuous"):
-        return ""
-    names = [name for name in ("effort", "velocity") if getattr(joint, name) is None]
-    return "" if joint.type == "continuous" and len(names) == 2 else " ".join(names)
 
 
 def _add_ball(

@@ -13,10 +13,13 @@ Newton's (newton-usd-schemas) and PhysX's (for Isaac Sim). Both schemas use degr
 becomes a spherical joint with a cone limit; the damping and stiffness of the ball joint are custom
 attributes, in radians.
 
+With Newton's default settings, a settled cup sinks by millimeters: contacts are detected at
+distances of up to 10 cm, and joint limits are soft. Colliders therefore state the distance, and
+joints the stiffness of their limits for Newton's MuJoCo solver (`mjc:` attributes).
+
 A textured material also states its plain color, which the connection to the texture overrides.
 
-Semantic labels state the class and category of the object, the names of its parts and materials,
-and the purpose of its joints.
+Semantic labels state the class of the object and the names of its parts and materials.
 """
 
 import math
@@ -30,12 +33,15 @@ from ..spec import GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.finish import finish
 from ..spec.pose import IDENTITY, Pose, pose
-from ..spec.semantics import category, purpose
 from ..spec.triangles import corner_normals
 from .link_frames import Frame, frames, link_origins, unjoined_pairs
 from .write_glb import is_textured, piece_mesh, texture_file, visible_surface
 
 _AXES = {(1.0, 0.0, 0.0): "X", (0.0, 1.0, 0.0): "Y", (0.0, 0.0, 1.0): "Z"}
+NEWTON_GAP_M = 0.002
+"""Distance below which Newton detects contacts [m]."""
+LIMIT_SOLREF = (0.02, 1.0)
+"""Time constant [s] and damping ratio of joint limits; the values are MuJoCo's defaults."""
 FLAT = 1e-3
 """Angle between two faces of a collider above which normals are split at the common edge [rad]."""
 
@@ -49,7 +55,6 @@ def usd_layer(spec: ObjectSpec) -> Sdf.Layer:
     if spec.label:
         root.GetPrim().SetDisplayName(spec.label)
     add_label(root.GetPrim(), "class", spec.label or spec.name)
-    add_label(root.GetPrim(), "category", category(spec))
     if spec.joints:
         UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     base = root.GetPath()
@@ -185,6 +190,8 @@ def _add_collider(
         hull = UsdPhysics.MeshCollisionAPI.Apply(prim)
         hull.CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
     UsdPhysics.CollisionAPI.Apply(prim)
+    prim.AddAppliedSchema("NewtonCollisionAPI")
+    set_float(prim, "newton:contactGap", NEWTON_GAP_M)
     UsdGeom.Imageable(prim).CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 
@@ -243,7 +250,6 @@ def _add_joint(
         "ball": UsdPhysics.SphericalJoint,
     }
     usd_joint = kind.get(joint.type, UsdPhysics.RevoluteJoint).Define(stage, path)
-    add_label(usd_joint.GetPrim(), "purpose", purpose(spec, joint))
     links = base.AppendChild("links")
     usd_joint.CreateBody0Rel().SetTargets([links.AppendChild(joint.parent)])
     usd_joint.CreateBody1Rel().SetTargets([links.AppendChild(joint.child)])
@@ -259,10 +265,14 @@ def _add_joint(
         return
     unit = math.degrees(1.0) if turning else 1.0
     usd_joint.CreateAxisAttr(token)
+    prim = usd_joint.GetPrim()
     if joint.type != "continuous":
         usd_joint.CreateLowerLimitAttr(joint.lower * unit)
         usd_joint.CreateUpperLimitAttr(joint.upper * unit)
-    prim = usd_joint.GetPrim()
+        solref = prim.CreateAttribute(
+            "mjc:solreflimit", Sdf.ValueTypeNames.DoubleArray, custom=False
+        )
+        solref.Set(Vt.DoubleArray(LIMIT_SOLREF))
     if joint.stiffness or joint.damping or joint.effort is not None:
         # UsdPhysics models the spring and damper of a joint as a drive whose target is 0.
         drive = UsdPhysics.DriveAPI.Apply(prim, "angular" if turning else "linear")

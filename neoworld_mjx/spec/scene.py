@@ -25,13 +25,12 @@ from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
 from .room import Share
 from .scale import scale, scaled_state
-from .semantics import semantics_of
 from .tree import Box2D, Relation
 
 WORLD_POSES = "world_poses"
 """Key in a written scene: origin [m] and rotation (w, x, y, z) of each object in the world."""
-SEMANTICS = "semantics"
-"""Key in a written scene: label, category, parts and purposes of joints of each object."""
+_FORMER = "semantics"
+"""Key in scenes of earlier versions, which is ignored."""
 
 
 Deviation = NonNegative
@@ -130,7 +129,7 @@ class SceneSpec(Spec):
     @classmethod
     def _without_derived(cls, value: object) -> object:
         if isinstance(value, dict):
-            return {k: v for k, v in value.items() if k not in (WORLD_POSES, SEMANTICS)}
+            return {k: v for k, v in value.items() if k not in (WORLD_POSES, _FORMER)}
         return value
 
     @model_validator(mode="after")
@@ -175,7 +174,7 @@ class SceneSpec(Spec):
         return [obj.name for obj in self.objects].index(name)
 
     def to_json(self) -> str:
-        """Return the scene as JSON, with world poses and semantics for other programs.
+        """Return the scene as JSON, with world poses for other programs.
 
         Equal scenes give equal strings.
         """
@@ -184,10 +183,7 @@ class SceneSpec(Spec):
             for name, world in world_poses(self).items()
         }
         content = self.model_dump_json(indent=1).removesuffix("\n}")
-        semantics = {item.name: semantics_of(item.spec) for item in self.objects}
-        derived = json.dumps({WORLD_POSES: poses, SEMANTICS: semantics}, indent=1).removeprefix(
-            "{\n"
-        )
+        derived = json.dumps({WORLD_POSES: poses}, indent=1).removeprefix("{\n")
         return f"{content},\n{derived}\n"
 
 

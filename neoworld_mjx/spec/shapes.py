@@ -5,10 +5,10 @@ pieces are also the colliders, so cavities stay open. Lengths are in meters; eac
 frame. To add a shape, define a subclass of `BaseShape` in a module and add the class to `Shape`.
 
 Constructive solid geometry gives an exact convex decomposition. The convex pieces of an operand are
-cut along the planes of the other operands' faces, so colliders leave the material that a difference
-removes empty. Round operands become polyhedra with `sectors` facets, whose corners lie on the true
-surface. Along a circle of radius r, colliders stay within r (1 - cos(pi / sectors)) of the surface.
-The visual surface comes from manifold3d and has finer facets.
+cut by manifold3d along the planes of the other operands' faces, so colliders leave the material
+that a difference removes empty. Round operands become polyhedra with `sectors` facets, whose
+corners lie on the true surface. Along a circle of radius r, colliders stay within
+r (1 - cos(pi / sectors)) of the surface. The visual surface has finer facets.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, model_validator
 
 from .base import Length, Point3, Rotation, ScalableSpec
-from .convex import Kind, Piece, Poly, poly, polytope, split
+from .convex import Kind, Piece, planes, polytope
 from .dimensions import UNSCALED
 from .extruded import Extrusion, RoundedBox, Sweep
 from .lathe import Lathe
@@ -100,11 +100,18 @@ class PlacedShape(Protocol):
 
 
 class _Convex(NamedTuple):
-    """A convex solid and its bounding box."""
+    """A convex solid."""
 
-    solid: Poly
-    low: NDArray
-    high: NDArray
+    solid: Any
+    """The solid, a `manifold3d.Manifold`."""
+    corners: NDArray
+    """Vertices [m], shape [v, 3]."""
+
+    def disjoint(self, other: "_Convex", slack: float) -> bool:
+        """Return True if the bounding boxes of two solids overlap by at most `slack` [m]."""
+        a, b = self.corners, other.corners
+        apart = a.min(axis=0) > b.max(axis=0) - slack
+        return bool(np.any(apart | (b.min(axis=0) > a.max(axis=0) - slack)))
 
 
 _Tool = tuple[_Convex, NDArray]
@@ -126,12 +133,10 @@ class _Cutter:
             if self._disjoint(piece, body):
                 result.append(piece)
                 continue
-            remainder, outside = self._cut(piece.solid, half)
+            remainder, outside = self._cut(piece, half)
             # A solid that barely overlaps the tool stays whole.
-            parts = (
-                [piece.solid] if remainder is None or self._is_negligible(remainder) else outside
-            )
-            result += [_convex(part) for part in parts if not self._is_negligible(part)]
+            parts = [piece] if remainder is None or self._is_negligible(remainder) else outside
+            result += [part for part in parts if not self._is_negligible(part)]
             _check_count(result)
         return result
 
@@ -142,36 +147,44 @@ class _Cutter:
             for body, half in tools:
                 if self._disjoint(piece, body):
                     continue
-                remainder, _ = self._cut(piece.solid, half)
+                remainder, _ = self._cut(piece, half)
                 if remainder is not None and not self._is_negligible(remainder):
-                    result.append(_convex(remainder))
+                    result.append(remainder)
             _check_count(result)
         return result
 
-    def _cut(self, solid: Poly, half: NDArray) -> tuple[Poly | None, list[Poly]]:
-        """Return the part of a solid inside all half-spaces, and the parts outside."""
-        inside: Poly | None = solid
-        outside: list[Poly] = []
-        for plane in half:
+    def _cut(self, piece: _Convex, half: NDArray) -> tuple[_Convex | None, list[_Convex]]:
+        """Return the part of a solid inside all half-spaces, and the parts outside.
+
+        No part is thinner than `slack`.
+        """
+        inside: _Convex | None = piece
+        outside: list[_Convex] = []
+        for *normal, offset in half:
             if inside is None:
                 break
-            self._spend(1 + len(inside.faces) / 32)
-            inside, beyond = split(inside, plane, self.slack)
-            if beyond is not None:
+            self._spend(1 + inside.solid.num_tri() / 64)
+            height = inside.corners @ normal - offset
+            if height.min() >= -self.slack:
+                outside.append(inside)
+                inside = None
+            elif height.max() > self.slack:
+                beyond, within = map(_convex, inside.solid.split_by_plane(normal, offset))
                 outside.append(beyond)
+                inside = within
         return inside, outside
 
     def _disjoint(self, a: _Convex, b: _Convex) -> bool:
         self._spend(BOX_TEST_COST)
-        return bool(np.any(a.low > b.high - self.slack) or np.any(b.low > a.high - self.slack))
+        return a.disjoint(b, self.slack)
 
     def _spend(self, cost: float) -> None:
         self.cuts_left -= cost
         if self.cuts_left < 0:
             raise ValueError(_TOO_MANY)
 
-    def _is_negligible(self, solid: Poly) -> bool:
-        return len(solid.corners) < 4 or solid.volume() < self.negligible
+    def _is_negligible(self, piece: _Convex) -> bool:
+        return piece.solid.volume() < self.negligible
 
 
 _TOO_MANY = (
@@ -185,8 +198,23 @@ def _check_count(pieces: list[Any]) -> None:
         raise ValueError(_TOO_MANY)
 
 
-def _convex(solid: Poly) -> _Convex:
-    return _Convex(solid, solid.corners.min(axis=0), solid.corners.max(axis=0))
+def _convex(solid: Any) -> _Convex:
+    return _Convex(solid, np.array(solid.to_mesh64().vert_properties, float)[:, :3])
+
+
+def _tool(piece: Piece, pose: Pose) -> _Tool:
+    """Return a piece of kind "box" or "mesh" at its total pose, with its half-spaces."""
+    import manifold3d
+
+    half = planes(piece)
+    local = np.array(piece.vertices)
+    if piece.kind == "box":
+        local = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * piece.size
+    corners = pose.apply(local)
+    normals = pose.apply(half[:, :3]) - pose.pos
+    offsets = (corners @ normals.T).max(axis=0)
+    solid = manifold3d.Manifold.hull_points(corners)
+    return _Convex(solid, corners), np.column_stack([normals, offsets])
 
 
 @lru_cache(maxsize=256)
@@ -203,7 +231,7 @@ def decomposed(
         tools.append(convex_operands(operand, sectors))
         if sum(len(half) for group in tools for _, half in group) > MAX_CUTS:
             raise ValueError(_TOO_MANY)
-    points = np.vstack([body.solid.corners for group in tools for body, _ in group])
+    points = np.vstack([body.corners for group in tools for body, _ in group])
     cutter = _Cutter(float(np.ptp(points, axis=0).max()))
     result = [body for body, _ in tools[0]]
     for group in tools[1:]:
@@ -215,14 +243,13 @@ def decomposed(
             # never overlap.
             added = [body for body, _ in group]
             for body in result:
-                half = poly(polytope(body.solid.corners), pose())[1]
-                added = cutter.subtract(added, (body, half))
+                added = cutter.subtract(added, (body, planes(polytope(body.corners))))
             result = [*result, *added]
         else:
             for tool in group:
                 result = cutter.subtract(result, tool)
         _check_count(result)
-    return tuple(polytope(one.solid.corners) for one in result)
+    return tuple(polytope(one.corners) for one in result)
 
 
 def convex_operands(operand: PlacedShape, sectors: int) -> list[_Tool]:
@@ -234,8 +261,7 @@ def convex_operands(operand: PlacedShape, sectors: int) -> list[_Tool]:
         flat = piece
         if piece.kind not in ("box", "mesh"):
             flat = _faceted_piece(piece.kind, piece.size, sectors)
-        solid, half = poly(flat, operand.pose().then(pose(piece.pos, piece.quat)))
-        tools.append((_convex(solid), half))
+        tools.append(_tool(flat, operand.pose().then(pose(piece.pos, piece.quat))))
     return tools
 
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from pxr import Usd, UsdGeom, UsdPhysics, UsdUtils
+from pxr import Usd, UsdGeom, UsdUtils
 
 from neoworld_mjx.cli import main
 from neoworld_mjx.export.formats import (
@@ -121,31 +121,3 @@ def test_the_floor_is_at_zero_or_below_the_lowest_free_object(tmp_path, z, floor
     write_formats(scene, tmp_path, ["mjcf"], floor=True)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
     assert model.geom("floor").pos[2] == pytest.approx(floor)
-
-
-def test_the_newton_layer_sets_joint_states_and_contacts(tmp_path, scene):
-    write_formats(scene, tmp_path, ["usd"], simulator="newton")
-    below, over = (Usd.Stage.Open(str(tmp_path / f)) for f in ("scene.usdc", "newton.usda"))
-    # An object is called "physics" here, so gravity's prim has another name.
-    assert over.GetPrimAtPath("/scene/physics_").GetAttribute("mjc:option:cone").Get() == "elliptic"
-    states = {
-        "/scene/box/joints/hinge": ("angular", np.degrees(0.8)),
-        "/scene/box/joints/slide": ("linear", 0.1),
-        "/scene/fastened/joints/slide": ("linear", 0.05),
-    }
-    for path, (kind, value) in states.items():
-        read = over.GetPrimAtPath(path).GetAttribute(f"newton:{kind}:position").Get()
-        assert read == pytest.approx(value), path
-        # Joints end as stiffly as in MuJoCo.
-        stop = over.GetPrimAtPath(path).GetAttribute("mjc:solreflimit").Get()
-        assert list(stop) == [0.02, 1.0]
-    # Every collider is there below, and keeps what it has.
-    colliders = 0
-    for prim in over.Traverse():
-        assert below.GetPrimAtPath(prim.GetPath()).GetTypeName() == prim.GetTypeName() != ""
-        if prim.HasAPI(UsdPhysics.CollisionAPI):
-            colliders += 1
-            assert prim.GetAttribute("newton:contactGap").Get() == pytest.approx(0.002)
-    assert colliders > 20
-    assert over.GetDefaultPrim().GetName() == "scene" and UsdGeom.GetStageUpAxis(over) == "Z"
-    assert UsdPhysics.GetStageKilogramsPerUnit(over) == 1

@@ -315,13 +315,25 @@ def test_usd_mimics_are_applied_for_newton_and_physx(folder, cabinet):
     assert hinge.GetAttribute(f"{axis}:maxJointVelocity").Get() == pytest.approx(math.degrees(2))
 
 
-def test_the_usd_scene_states_joint_positions(folder):
+def test_the_usd_scene_states_joints_and_contacts_for_physx_and_newton(folder):
     stage = Usd.Stage.Open(str(folder / "scene.usda"))
-    hinge = stage.GetPrimAtPath("/scene/box/joints/hinge")
-    assert hinge.GetAttribute("state:angular:physics:position").Get() == pytest.approx(
-        math.degrees(0.8)
+    # An object is called "physics" here, so gravity's prim has another name.
+    assert (
+        stage.GetPrimAtPath("/scene/physics_").GetAttribute("mjc:option:cone").Get() == "elliptic"
     )
-    slide = stage.GetPrimAtPath("/scene/fastened/joints/slide")
-    assert slide.GetAttribute("state:linear:physics:position").Get() == pytest.approx(0.05)
-    applied = slide.GetMetadata("apiSchemas").GetAddedOrExplicitItems()
-    assert "PhysicsJointStateAPI:linear" in applied
+    for path, kind, value in (
+        ("/scene/box/joints/hinge", "angular", math.degrees(0.8)),
+        ("/scene/box/joints/slide", "linear", 0.1),
+        ("/scene/fastened/joints/slide", "linear", 0.05),
+    ):
+        joint = stage.GetPrimAtPath(path)
+        for name in (f"state:{kind}:physics:position", f"newton:{kind}:position"):
+            assert joint.GetAttribute(name).Get() == pytest.approx(value), (path, name)
+        # Joints end as stiffly as in MuJoCo.
+        assert list(joint.GetAttribute("mjc:solreflimit").Get()) == [0.02, 1.0]
+        applied = joint.GetMetadata("apiSchemas").GetAddedOrExplicitItems()
+        assert f"PhysicsJointStateAPI:{kind}" in applied
+    colliders = [prim for prim in stage.Traverse() if prim.HasAPI(UsdPhysics.CollisionAPI)]
+    assert len(colliders) > 20
+    for prim in colliders:
+        assert prim.GetAttribute("newton:contactGap").Get() == pytest.approx(0.002)

@@ -51,7 +51,7 @@ HOSTILE: dict[str, tuple[str, str]] = {
         "        h = [sphere(0.04 + 1e-6 * k).moved((0.1 * (i % 8), 0.1 * (i // 8), 0)) "
         "for i in range(63)]\n        difference(box((10, 10, 1)), *h)\n"
         "    except ValueError:\n        pass",
-        "timeout: line 7: building the shapes took over 1 s; use fewer",
+        "timeout: line [67]: building the shapes took over 1 s; use fewer",
     ),
     # Memory, recursion and output.
     "power": ("print(10 ** 10 ** 8)", "memory: line 1: .*holds too much at once"),

@@ -66,7 +66,7 @@ def test_pieces_have_the_volume_of_manifolds_boolean(name: str):
     meshes = []
     for operand in shape.operands:
         hulls = [
-            manifold3d.Manifold.hull_points(np.ascontiguousarray(body.solid.corners))
+            manifold3d.Manifold.hull_points(np.ascontiguousarray(body.corners))
             for body, _ in convex_operands(operand, shape.sectors)
         ]
         meshes.append(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add))

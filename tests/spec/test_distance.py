@@ -30,15 +30,15 @@ def around(shape, count: int):
 
 def inside_pieces(shape, points):
     """Whether points lie in a collider, by half-spaces; nothing of `solid` is used."""
-    from neoworld_mjx.spec.convex import poly, polytope
+    from neoworld_mjx.spec.convex import planes, polytope
     from neoworld_mjx.spec.pose import pose
     from neoworld_mjx.spec.shapes import faceted
 
     result = np.zeros(len(points), bool)
     for piece in shape.pieces():
         flat = piece if piece.kind in ("box", "mesh") else polytope(faceted(piece, 48))
-        half = poly(flat, pose(piece.pos, piece.quat))[1]
-        result |= (points @ half[:, :3].T <= half[:, 3] + 1e-12).all(axis=1)
+        local, half = pose(piece.pos, piece.quat).inverse().apply(points), planes(flat)
+        result |= (local @ half[:, :3].T <= half[:, 3] + 1e-12).all(axis=1)
     return result
 
 
