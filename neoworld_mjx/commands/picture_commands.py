@@ -212,20 +212,17 @@ class AnnotateCommand(EvidenceFlags, PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
-        from ..parse.photo import load_photo
         from ..pipeline.annotated import read_annotation, write_annotated
-        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
+        from ..pipeline.given_evidence import known_photo
         from ..run_folder import Result
         from ..view.annotate_page import Annotator, empty_annotation
         from ..view.annotation import Annotation
         from ..view.server import address, close_server, open_server
 
         config = self.load_config()
-        photo = load_photo(self.photo, config.parse.max_side_px)
         kept = None if self.start is None else self.out
-        known = evidence_of_run(photo, self.stated(), kept).evidence
-        photo = undistorted_photo(photo, known)
-        annotation = empty_annotation(photo, known.camera)
+        photo, known = known_photo(self.photo, config, self.stated(), kept)
+        annotation = empty_annotation(photo, known.evidence.camera)
         if self.start is not None:
             empty, annotation = annotation.camera, read_annotation(self.out)
             run_size, photo_size = (
@@ -245,7 +242,9 @@ class AnnotateCommand(EvidenceFlags, PageCommand):
 
         def write(annotation: Annotation, simulate: bool) -> Result:
             return write_annotated(
-                *(self.photo, self.out, annotation, config), simulate=simulate, evidence=known
+                *(self.photo, self.out, annotation, config),
+                simulate=simulate,
+                evidence=known.evidence,
             )
 
         server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)

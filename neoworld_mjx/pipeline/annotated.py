@@ -10,7 +10,6 @@ from ..evidence.known_camera import EXACT_FOCAL, KnownCamera
 from ..io import bounded_by, read_model
 from ..parse.crops import colour_in_box, crops, support_colours
 from ..parse.draw import draw_parse
-from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from ..program import build
 from ..program.ask import written_without_model
 from ..program.supports import support_program
@@ -19,14 +18,7 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from ..view.annotated_tree import annotated_tree, annotation_from_tree, program_of
 from ..view.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
-from .given_evidence import (
-    Given,
-    evidence_of_run,
-    keep_evidence,
-    kept_inputs,
-    parse_inputs,
-    undistorted_photo,
-)
+from .given_evidence import Given, keep_evidence, kept_inputs, known_photo, parse_inputs
 from .object_steps import program_inputs, write_asset, write_object_files
 from .reconstruction import finish, run_steps
 from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE
@@ -79,10 +71,8 @@ def write_annotated(
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
     """
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         exists = (out / "run.json").is_file()
-        known = evidence_of_run(picture, evidence, out if exists else None)
-        picture = undistorted_photo(picture, known.evidence)
+        picture, known = known_photo(photo, config, evidence, out if exists else None)
         annotation = _calibrated(annotation, known.evidence.camera)
         objects = known.evidence.objects
         tree = objects.applied(annotated_tree(annotation))

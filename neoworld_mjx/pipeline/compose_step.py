@@ -46,7 +46,7 @@ def compose_scene(context: StepContext) -> None:
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
-    pictures/depth.png. The scene's picture is rendered in the background.
+    pictures/depth.png, and the scene's picture.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
@@ -97,7 +97,7 @@ def compose_scene(context: StepContext) -> None:
             for outcome, reason in moves_from_tree(tree, placed.scene) if edited else ():
                 run.note("compose", outcome, reason)
             _record_patch(run, patch, stale)
-    context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
+    context.draw("compose/picture", COMPOSED, "pictures/before.png")
     _check_composed(context)
 
 

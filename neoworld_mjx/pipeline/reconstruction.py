@@ -15,14 +15,14 @@ from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..names import Step
-from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
+from ..parse.photo import Photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
 from ..spec import read_scene
 from .compose_step import compose_scene
-from .given_evidence import Given, evidence_of_run, keep_evidence, kept_inputs, undistorted_photo
+from .given_evidence import Given, keep_evidence, kept_inputs, known_photo
 from .object_steps import parse_photo, program_objects, verify_objects
 from .scene_steps import export_files, refine_layout, write_metrics
-from .step_context import COMPOSED, TAPE, TREE, Pictures, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
     "parse": parse_photo,
@@ -83,10 +83,8 @@ def reconstruct(
             "which repeats the steps that it changes"
         )
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         continues = mode in ("resume", "redo")
-        known = evidence_of_run(picture, evidence, out if continues else None)
-        picture = undistorted_photo(picture, known.evidence)
+        picture, known = known_photo(photo, config, evidence, out if continues else None)
         open_models = partial(
             open_panel,
             config.mllm,
@@ -136,11 +134,10 @@ def run_steps(
         first: first step.
         until: last step; if None, run all later steps.
     """
-    with recorded_costs(run, models), Pictures(run, config.render) as pictures:
-        context = StepContext(run, config, photo, models, pictures, kept_inputs(run))
+    with recorded_costs(run, models):
+        context = StepContext(run, config, photo, models, kept_inputs(run))
         for step in STEPS[STEPS.index(first) :]:
             STEP_FUNCTIONS[step](context)
-            pictures.store()
             if step == until:
                 break
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import progress
 from ..errors import RunError
 from ..io import read_object
 from ..parse.photo import load_photo
+from ..progress import report
 from ..run_folder import RunFolder
 from ..spec import read_scene
 from .step_context import (
@@ -50,10 +50,6 @@ def refine_layout(context: StepContext) -> None:
     if aligns_again:
         inputs |= {"photo": run.path / PHOTO, "align": align, **kept_inputs(run)}
 
-    def report(line: str) -> None:
-        progress.report(f"  {line}")
-        context.pictures.store()
-
     with run.step("refine", inputs) as out:
         if out is None:
             return
@@ -69,7 +65,7 @@ def refine_layout(context: StepContext) -> None:
             evidence=_evidence(run) if aligns_again else None,
             keep=read_layout_patch(run.path).objects,
             panel=context.models,
-            progress=report,
+            progress=lambda line: report(f"  {line}"),
         )
         refined, final, scene = placed.refined, placed.final, placed.scene
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
@@ -144,7 +140,7 @@ def export_files(context: StepContext) -> None:
     from ..export import export_scene
 
     run = context.run
-    context.pictures.begin("export/picture", run.path / SCENE, "pictures/after.png")
+    context.draw("export/picture", SCENE, "pictures/after.png")
     with run.step("export", {"scene": run.path / SCENE}) as out:
         if out is None:
             return

@@ -1,94 +1,17 @@
-"""Context of the steps of a run: the files that they share, and pictures rendered in a thread."""
+"""Context of the steps of a run, and the files that they share."""
 
-import contextlib
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple
 
 from ..checks.signals import Allowance
-from ..config import Config, RenderOptions
+from ..config import Config
 from ..errors import SpecError
 from ..io import read_model, read_object
 from ..mllm import Panel
 from ..names import Step
 from ..parse.photo import Photo
 from ..run_folder import RunFolder
-from ..spec import ObjectSpec, SceneSpec, SceneTree, read_scene
-
-
-class _Pending(NamedTuple):
-    part: str
-    inputs: dict[str, object]
-    file: str
-    png: Future[bytes]
-
-
-@dataclass
-class Pictures:
-    """Pictures of a run. Use it in a `with` statement, which waits for unfinished pictures.
-
-    Each picture is a part of a step, such as "compose/picture". Only the caller's thread writes to
-    the run folder: `store` saves the pictures that have been rendered in the meantime.
-    """
-
-    run: RunFolder
-    options: RenderOptions
-    _pending: list[_Pending] = field(default_factory=list)
-    _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "pictures"))
-
-    def begin(self, part: str, scene: Path, file: str) -> None:
-        """Start to render a scene from its camera, unless the run already has this picture.
-
-        Args:
-            part: name of the picture as a part of a step.
-            scene: file of the scene.
-            file: path of the picture within the run folder.
-        """
-        inputs = {"scene": scene, "render": self.options}
-        if not self.run.finished(part, inputs):
-            future = self._pool.submit(_draw, read_scene(scene), self.options)
-            self._pending.append(_Pending(part, inputs, file, future))
-
-    def store(self, *, wait: bool = False) -> None:
-        """Save the finished pictures in the run folder; if `wait` is True, save all pictures.
-
-        The recorded duration of a part is the time that the run waited for it.
-        """
-        for pending in [p for p in self._pending if wait or p.png.done()]:
-            self._pending.remove(pending)
-            with self.run.step(pending.part, pending.inputs) as out:
-                if out is not None:
-                    (out / pending.file).parent.mkdir(parents=True, exist_ok=True)
-                    (out / pending.file).write_bytes(pending.png.result())
-
-    def __enter__(self) -> "Pictures":
-        """Return this object."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Store pending pictures, even after an error, because they may show its cause."""
-        try:
-            if error is None:
-                self.store(wait=True)
-            elif isinstance(error, Exception):
-                with contextlib.suppress(Exception):  # Report the first error.
-                    self.store(wait=True)
-        finally:
-            self._pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _draw(scene: SceneSpec, options: RenderOptions) -> bytes:
-    from ..render import render_scene, to_png
-
-    return to_png(render_scene(scene, width=options.width, supersample=options.supersample))
-
+from ..spec import ObjectSpec, SceneTree, read_scene
 
 RESPONSE_TREE = "history/response/tree.json"
 """Scene tree of the model's response, before its fit to the 2D boxes."""
@@ -119,7 +42,6 @@ class StepContext:
     """The photograph; None if the run starts after `program`."""
     models: Panel | None
     """The models; None if no step needs a model."""
-    pictures: Pictures
     evidence: dict[str, object] = field(default_factory=dict)
     """Inputs of the steps that use the evidence of the user; empty without evidence."""
 
@@ -127,6 +49,25 @@ class StepContext:
         """Return the photograph and the models, for steps that require them."""
         assert self.photo is not None and self.models is not None
         return self.photo, self.models
+
+    def draw(self, part: str, scene: str, file: str) -> None:
+        """Render a scene from its camera, as a part of a step such as "compose/picture".
+
+        Args:
+            part: name of the picture as a part of a step.
+            scene: file of the scene in the run folder.
+            file: file of the picture in the run folder.
+        """
+        from ..render import render_scene, to_png
+
+        path, options = self.run.path / scene, self.config.render
+        with self.run.step(part, {"scene": path, "render": options}) as out:
+            if out is not None:
+                image = render_scene(
+                    read_scene(path), width=options.width, supersample=options.supersample
+                )
+                (out / file).parent.mkdir()
+                (out / file).write_bytes(to_png(image))
 
 
 def read_tree(run: RunFolder, *, before: Step | None = None) -> SceneTree:

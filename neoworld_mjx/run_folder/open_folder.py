@@ -222,11 +222,11 @@ class RunFolder:
                 times = self._since(began)
                 self.data.setdefault("concurrent", {})[step] = times
                 self.save()
-                report(_done(step, times), **_status(step, step))
+                report(_done(step, times), step=step)
 
     def begin(self, name: str) -> None:
         """Report that the work for a part of a concurrent step begins."""
-        report(f"{name}: started", **_status(name, name))
+        report(f"{name}: started", step=name)
 
     @contextlib.contextmanager
     def step(self, name: str, inputs: Mapping[str, object]) -> Iterator[Path | None]:
@@ -278,7 +278,7 @@ class RunFolder:
         times = {} if concurrent else self._since(began)
         self.data["steps"][name] = {**times, "inputs": hashes, "outputs": outputs}
         self.save()
-        report(_done(name, times), **_status(name, step_of(name)))
+        report(_done(name, times), step=step_of(name))
 
     def before(self, step: Step, name: str) -> Path:
         """Return the path of the version of a file that the steps before `step` left.
@@ -384,7 +384,7 @@ class RunFolder:
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
-        report(f"{name}: kept", **_status(name, step_of(name)))
+        report(f"{name}: kept", step=step_of(name))
         return True
 
     def edited_by_hand(self, name: str) -> tuple[str, ...]:
@@ -465,8 +465,3 @@ def _done(name: str, times: Mapping[str, float]) -> str:
     waiting = times["waiting_s"]
     waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
     return f"{name}: done in {max(times['seconds'] - waiting, 0.0):.1f} s{waited}"
-
-
-def _status(name: str, step: str) -> dict[str, str]:
-    """Return the step for the status line; empty for pictures, which a thread renders."""
-    return {} if name.endswith("/picture") else {"step": step}
