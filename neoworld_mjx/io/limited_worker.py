@@ -52,8 +52,7 @@ class FileOptions(Options):
     )
     timeout_s: float = option(
         8.0,
-        "Processor time limit of the worker process that reads an asset, a large image or a "
-        "Parquet table.",
+        "Processor time limit of the worker process that reads an asset or a large image.",
         unit="s",
         gt=0,
         le=86400,
