@@ -138,8 +138,7 @@ def program_objects(context: StepContext) -> None:
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
                 run.note(name, f"{node.name} has a corrected size", reason)
 
-    with run.concurrent("program"):
-        run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
+    run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
     _correct_sizes(run, tree)
 
 
@@ -271,8 +270,7 @@ def verify_objects(context: StepContext) -> None:
                 write_patch(out / object_file(node.name, PROGRAM), result.patch)
             _record_verification(run, node.name, result)
 
-    with run.concurrent("verify"):
-        run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
+    run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
 
 
 def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:

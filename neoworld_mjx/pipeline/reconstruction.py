@@ -137,7 +137,8 @@ def run_steps(
     with recorded_costs(run, models):
         context = StepContext(run, config, photo, models, kept_inputs(run))
         for step in STEPS[STEPS.index(first) :]:
-            STEP_FUNCTIONS[step](context)
+            with run.timed(step):
+                STEP_FUNCTIONS[step](context)
             if step == until:
                 break
 
