@@ -116,7 +116,7 @@ def build_server(folder: Path) -> "MCPServer":
     try:
         import anyio
         from mcp.server.mcpserver import Context, Image, MCPServer
-        from mcp.server.mcpserver.exceptions import ResourceNotFoundError, ToolError
+        from mcp.server.mcpserver.exceptions import ToolError
     except ModuleNotFoundError:
         raise ConfigError("neoworld mcp needs its extra: uv sync --inexact --extra mcp") from None
     from ..mllm import package_text
@@ -179,22 +179,6 @@ def build_server(folder: Path) -> "MCPServer":
     def guide() -> str:
         """Guide to object programs."""
         return package_text("neoworld_mjx.program", "guide")
-
-    def read(name: str) -> bytes:
-        try:
-            return tools.agent_run.path(str(tools.agent_run.current() / name)).read_bytes()
-        except (NeoWorldError, OSError):
-            raise ResourceNotFoundError(f"the run has no {name}") from None
-
-    @server.resource("neoworld://report", mime_type="text/html")
-    def report_page() -> str:
-        """Report of the run."""
-        return read("report.html").decode()
-
-    @server.resource("neoworld://picture/{name}", mime_type="image/png")
-    def picture(name: str) -> bytes:
-        """Picture of the run: parse, before, after, outlines or evidence."""
-        return read(f"pictures/{name}.png")
 
     return server
 
