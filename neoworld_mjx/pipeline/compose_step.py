@@ -6,12 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import UInt8
-
 from ..errors import SpecError
 from ..io import read_model
-from ..parse.photo import load_photo
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
 from .edited_files import edited_objects, moves_from_tree, tree_edited
@@ -21,7 +17,6 @@ from .step_context import (
     COMPOSED,
     DEPTH,
     EVIDENCE,
-    GIVEN,
     OUTLINES,
     PHOTO,
     REFIT,
@@ -50,6 +45,7 @@ def compose_scene(context: StepContext) -> None:
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
+    from .given_evidence import evidence_of_tree
     from .place import place
 
     run, config = context.run, context.config
@@ -67,7 +63,9 @@ def compose_scene(context: StepContext) -> None:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
             (out / "compose").mkdir()
-            kept = _evidence(run, tree)
+            kept, unmatched = evidence_of_tree(run, tree)
+            for note in unmatched:
+                run.note("compose", note, "no 2D box overlaps it enough")
             # Objects whose programs a person edited keep their sizes, as given assets do.
             assets = kept.objects.assets | {name: objects[name] for name in by_hand}
             evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
@@ -99,25 +97,6 @@ def compose_scene(context: StepContext) -> None:
             _record_patch(run, patch, stale)
     context.draw("compose/picture", COMPOSED, "pictures/before.png")
     _check_composed(context)
-
-
-def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
-    """Return the evidence of a run, with masks assigned to the objects of the tree."""
-    from ..evidence.mask_files import matched_to
-    from .given_evidence import kept_evidence
-
-    kept, photo = kept_evidence(run), (run.path / PHOTO).is_file()
-    masks, notes = kept.masks, ()
-    if masks is not None:
-        masks, notes = matched_to(masks, tree)
-    for note in notes:
-        run.note("compose", note, "no 2D box overlaps it enough")
-    return replace(
-        kept,
-        photo=_rgb(run) if photo else None,
-        masks=masks,
-        boxes=not (run.path / GIVEN).is_file(),
-    )
 
 
 def _unfitted(run: RunFolder, tree: SceneTree) -> SceneTree:
@@ -275,10 +254,6 @@ def _check_composed(context: StepContext) -> None:
         for entry in moving:
             if not entry.held:
                 run.fallback("compose/check", f"{entry.name} has no stable support", entry.why)
-
-
-def _rgb(run: RunFolder) -> UInt8[np.ndarray, "row column 3"]:
-    return load_photo(run.path / PHOTO).rgb
 
 
 def _write_json(path: Path, data: object) -> None:

@@ -17,8 +17,9 @@ from ..io import read_model
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import RunFolder
 from ..run_folder.staging import refuse_links
-from ..spec import ObjectSpec
+from ..spec import ObjectSpec, SceneTree
 from .further_photos import VIEWS, further_files, kept_further, read_further
+from .step_context import GIVEN, PHOTO
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
@@ -233,6 +234,23 @@ def parse_inputs(inputs: dict[str, object]) -> dict[str, object]:
 def kept_evidence(run: RunFolder) -> Evidence:
     """Return the evidence in a run folder, undistorted like the run's photograph."""
     return replace(undistorted(_kept(run.path)), further=kept_further(run.path, marked=True))
+
+
+def evidence_of_tree(run: RunFolder, tree: SceneTree) -> tuple[Evidence, tuple[str, ...]]:
+    """Return the evidence of a run with its photograph, and masks assigned to a tree's objects.
+
+    Returns:
+        The evidence, and a note for each mask that belongs to no object.
+    """
+    from ..evidence.mask_files import matched_to
+
+    kept, photo = kept_evidence(run), run.path / PHOTO
+    masks, notes = kept.masks, ()
+    if masks is not None:
+        masks, notes = matched_to(masks, tree)
+    rgb = load_photo(photo).rgb if photo.is_file() else None
+    boxes = not (run.path / GIVEN).is_file()  # Boxes of a rescue are no evidence.
+    return replace(kept, photo=rgb, masks=masks, boxes=boxes), notes
 
 
 def _kept(folder: Path) -> Evidence:

@@ -17,12 +17,11 @@ from ..mllm import Panel, open_panel
 from ..names import Step
 from ..parse.photo import Photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
-from ..spec import read_scene
 from .compose_step import compose_scene
 from .given_evidence import Given, keep_evidence, kept_inputs, known_photo
 from .object_steps import parse_photo, program_objects, verify_objects
 from .scene_steps import export_files, refine_layout, write_metrics
-from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, StepContext, read_tree
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
     "parse": parse_photo,
@@ -86,13 +85,7 @@ def reconstruct(
         continues = mode in ("resume", "redo")
         picture, known = known_photo(photo, config, evidence, out if continues else None)
         open_models = partial(
-            open_panel,
-            config.mllm,
-            config.provider,
-            photo=picture.sha256,
-            tapes=tapes,
-            mailbox=mailbox or out / "mailbox",
-            made=f"recorded from provider {config.provider}",
+            _open_models, config, out, picture.sha256, tapes=tapes, mailbox=mailbox
         )
         if config.program.language == "blender" and until != "parse":
             from ..program.blender.blender_process import require_blender
@@ -192,17 +185,31 @@ def refine_again(
     with bounded_by(config.files):
         models = None
         if config.refine.semantic.scorer == "mllm":
-            models = open_panel(
-                config.mllm,
-                config.provider,
-                photo=earlier["photo"].get("sha256"),
-                mailbox=folder / "mailbox",
-                record=folder / TAPE,
-                made=f"recorded from provider {config.provider}",
-            )
+            sha256 = earlier["photo"].get("sha256")
+            models = _open_models(config, folder, sha256, record=folder / TAPE)
         with RunFolder(folder, config, "redo", step="refine") as run:
             run_steps(run, config, models, first="refine")
             return finish(run, None)
+
+
+def _open_models(
+    config: Config,
+    folder: Path,
+    photo: str | None,
+    *,
+    record: Path | None = None,
+    tapes: tuple[Path, ...] = (),
+    mailbox: Path | None = None,
+) -> Panel:
+    return open_panel(
+        config.mllm,
+        config.provider,
+        photo=photo,
+        tapes=tapes,
+        mailbox=mailbox or folder / "mailbox",
+        record=record,
+        made=f"recorded from provider {config.provider}",
+    )
 
 
 def earlier_options(folder: Path, over: dict[str, Any]) -> Config:
@@ -239,12 +246,6 @@ def refuse_code(config: Config, source: str) -> None:
             f"{source} names code to run ({', '.join(code_names)}): if you "
             "trust it, give the option by --config or --set"
         )
-
-
-def _object_names(run: RunFolder) -> list[str]:
-    if (run.path / TREE).is_file():
-        return [node.name for node in read_tree(run).nodes]
-    return [item.name for item in read_scene(run.path / COMPOSED).objects]  # A rescue has no tree.
 
 
 def _path(value: object, name: str) -> Path:
@@ -307,6 +308,6 @@ def finish(run: RunFolder, until: str | None) -> Result:
         waiting={step: waiting for step, (_, waiting) in times.items()},
         fallbacks=run.data["fallbacks"],
         notes=run.data["notes"],
-        objects=_object_names(run),
+        objects=[node.name for node in read_tree(run).nodes],
         cost=run.data["mllm"],
     )

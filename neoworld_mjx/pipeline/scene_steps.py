@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,13 +19,12 @@ from .step_context import (
     PHOTO,
     RESULT,
     SCENE,
-    TREE,
     StepContext,
     read_tree,
 )
 
 if TYPE_CHECKING:
-    from ..evidence.evidence import Evidence
+    pass
 
 
 def refine_layout(context: StepContext) -> None:
@@ -35,7 +33,7 @@ def refine_layout(context: StepContext) -> None:
     from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
     from ..estimate.tree_checks import agreement
     from ..measure import box_iou, object_moves, scene_checks
-    from .given_evidence import kept_inputs
+    from .given_evidence import evidence_of_tree, kept_inputs
     from .place import refine_placed
 
     run, config = context.run, context.config
@@ -62,7 +60,7 @@ def refine_layout(context: StepContext) -> None:
             seed=config.seed,
             photo=photo,
             again=align if aligns_again else None,
-            evidence=_evidence(run) if aligns_again else None,
+            evidence=evidence_of_tree(run, read_tree(run))[0] if aligns_again else None,
             keep=read_layout_patch(run.path).objects,
             panel=context.models,
             progress=lambda line: report(f"  {line}"),
@@ -97,8 +95,7 @@ def refine_layout(context: StepContext) -> None:
             "after": placed.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
-        # Boxes of a rescue are no evidence.
-        if (run.path / TREE).is_file() and not (run.path / GIVEN).is_file():
+        if not (run.path / GIVEN).is_file():  # Boxes of a rescue are no evidence.
             tree = read_tree(run, before="program")
             objects = [node for node in tree.nodes if not node.environment]
             parsed = {node.name: agreement(tree, node) for node in objects}
@@ -116,19 +113,6 @@ def refine_layout(context: StepContext) -> None:
                     f"the refinement moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
-
-
-def _evidence(run: RunFolder) -> "Evidence":
-    """Return the evidence of a run, with masks assigned to the objects of the tree."""
-    from ..evidence.mask_files import matched_to
-    from .given_evidence import kept_evidence
-
-    kept = kept_evidence(run)
-    if not (run.path / TREE).is_file():
-        return kept
-    tree = read_tree(run)
-    masks = None if kept.masks is None else matched_to(kept.masks, tree)[0]
-    return replace(kept, masks=masks)
 
 
 def _mean(values: list[float]) -> float:
