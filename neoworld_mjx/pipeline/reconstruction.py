@@ -17,11 +17,12 @@ from ..mllm import Panel, open_panel
 from ..names import Step
 from ..parse.photo import Photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
+from ..spec import read_scene
 from .compose_step import compose_scene
 from .given_evidence import Given, keep_evidence, kept_inputs, known_photo
 from .object_steps import parse_photo, program_objects, verify_objects
 from .scene_steps import export_files, refine_layout, write_metrics
-from .step_context import COMPOSED, TAPE, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
     "parse": parse_photo,
@@ -248,6 +249,12 @@ def refuse_code(config: Config, source: str) -> None:
         )
 
 
+def _object_names(run: RunFolder) -> list[str]:
+    if (run.path / TREE).is_file():
+        return [node.name for node in read_tree(run).nodes]
+    return [item.name for item in read_scene(run.path / COMPOSED).objects]
+
+
 def _path(value: object, name: str) -> Path:
     if isinstance(value, str | Path):
         return Path(value)
@@ -308,6 +315,6 @@ def finish(run: RunFolder, until: str | None) -> Result:
         waiting={step: waiting for step, (_, waiting) in times.items()},
         fallbacks=run.data["fallbacks"],
         notes=run.data["notes"],
-        objects=[node.name for node in read_tree(run).nodes],
+        objects=_object_names(run),
         cost=run.data["mllm"],
     )

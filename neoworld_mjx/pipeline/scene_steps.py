@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,12 +18,10 @@ from .step_context import (
     PHOTO,
     RESULT,
     SCENE,
+    TREE,
     StepContext,
     read_tree,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 def refine_layout(context: StepContext) -> None:
@@ -95,7 +92,8 @@ def refine_layout(context: StepContext) -> None:
             "after": placed.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
         }
-        if not (run.path / GIVEN).is_file():  # Boxes of a rescue are no evidence.
+        # Boxes of a rescue are no evidence.
+        if (run.path / TREE).is_file() and not (run.path / GIVEN).is_file():
             tree = read_tree(run, before="program")
             objects = [node for node in tree.nodes if not node.environment]
             parsed = {node.name: agreement(tree, node) for node in objects}
