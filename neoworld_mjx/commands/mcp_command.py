@@ -5,7 +5,6 @@ official SDK. The transport is stdio, or streamable HTTP on 127.0.0.1.
 """
 
 import functools
-import inspect
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 MAX_PICTURES_BYTES = 600_000
 """Size of a result's pictures above which they are sent as JPEG. The client of the SDK accepts
 1 MiB a result, in which pictures take 4/3 of their sizes."""
-PROGRESS_S = 1.0
-"""Interval at which a tool reports progress [s]."""
 ABOUT = (
     "Reconstructs one photograph as a scene for physics simulators. You are its model: call "
     "start(photo), then next_request() and submit(id, response) until the run has finished. "
@@ -115,7 +112,7 @@ def build_server(folder: Path) -> "MCPServer":
     """
     try:
         import anyio
-        from mcp.server.mcpserver import Context, Image, MCPServer
+        from mcp.server.mcpserver import Image, MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
     except ModuleNotFoundError:
         raise ConfigError("neoworld mcp needs its extra: uv sync --inexact --extra mcp") from None
@@ -133,33 +130,19 @@ def build_server(folder: Path) -> "MCPServer":
             for entry in bounded(content, MAX_PICTURES_BYTES)
         ]
 
-    async def report(ctx: Context) -> None:
-        elapsed = 0.0
-        while True:
-            await anyio.sleep(PROGRESS_S)
-            elapsed += PROGRESS_S
-            await ctx.report_progress(elapsed, message=tools.agent_run.progress())
-
     def as_tool(method: Callable[..., list[Any]]) -> Callable[..., Any]:
-        async def call(ctx: Context, **arguments: Any) -> list[Any]:
-            content: list[Any] | NeoWorldError = []
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(report, ctx)
-                work = functools.partial(_outcome, method, arguments)
-                content = await anyio.to_thread.run_sync(work, abandon_on_cancel=True)
-                tasks.cancel_scope.cancel()
-            if isinstance(content, NeoWorldError):
-                raise ToolError(str(content))
-            return images(content)
+        @functools.wraps(method)
+        async def call(**arguments: Any) -> list[Any]:
+            work = functools.partial(method, **arguments)
+            try:
+                return images(await anyio.to_thread.run_sync(work, abandon_on_cancel=True))
+            except NeoWorldError as error:
+                raise ToolError(str(error)) from None
+            except OSError as error:
+                if (refusal := system_refusal(error)) is None:
+                    raise
+                raise ToolError(refusal) from None
 
-        signature = inspect.signature(method)
-        first = inspect.Parameter(
-            "ctx", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=Context
-        )
-        call.__name__, call.__doc__ = method.__name__, inspect.getdoc(method)
-        call.__annotations__ = {"ctx": Context}
-        parameters = [first, *signature.parameters.values()]
-        setattr(call, "__signature__", signature.replace(parameters=parameters))  # noqa: B010
         return call
 
     for name in TOOLS:
@@ -181,15 +164,3 @@ def build_server(folder: Path) -> "MCPServer":
         return package_text("neoworld_mjx.program", "guide")
 
     return server
-
-
-def _outcome(method: Callable[..., list[Any]], arguments: dict[str, Any]) -> Any:
-    """Return what a tool returns, or the error that it raises, which a task group would wrap."""
-    try:
-        return method(**arguments)
-    except NeoWorldError as error:
-        return error
-    except OSError as error:
-        if (refusal := system_refusal(error)) is None:
-            raise
-        return RunError(refusal)

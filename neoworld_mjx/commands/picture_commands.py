@@ -98,7 +98,7 @@ class RenderCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Render the scene."""
-        from ..io.files import check_output, write_output
+        from ..io.files import write_output
         from ..render import render_scene, to_png
         from ..render.scene_images import with_open_joints
         from ..view.target import open_target
@@ -107,7 +107,6 @@ class RenderCommand(ConfiguredCommand):
         options = config.render
         scene = open_target(self.target, config).after
         out = self.out or self._default_path("render.png")
-        check_output(out, RunError)
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")

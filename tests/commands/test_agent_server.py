@@ -44,19 +44,15 @@ class Agent:
     def __init__(self, client: Client, folder: Path) -> None:
         self.client, self.folder = client, folder
         self.tape = Tape.load(TAPE)
-        self.progress: list[str] = []
         self.instructions: dict[str, str] = {}
 
     async def call(self, name, **arguments):
         """Return the text of a result and its pictures; raise Refused for an error."""
-        result = await self.client.call_tool(name, arguments, progress_callback=self._note)
+        result = await self.client.call_tool(name, arguments)
         texts = [block.text for block in result.content if block.type == "text"]
         if result.is_error:
             raise Refused("\n".join(texts))
         return "\n".join(texts), [block for block in result.content if block.type == "image"]
-
-    async def _note(self, progress, total, message):
-        self.progress.append(message or "")
 
     def response(self, name):
         """The response on the tape to an open request."""
@@ -132,7 +128,6 @@ def built(tmp_path_factory):
                     )
                 seen["accepted"], _ = await coffee.call("submit", id=name, response=response)
             seen["end"] = request[1]
-            seen["progress"] = "\n".join(coffee.progress)
 
     asyncio.run(build())
     return folder, seen
@@ -208,11 +203,6 @@ def test_a_rejection_lists_every_mistake(built):
     assert "camera.fovy_deg: Field required" in seen["rejected"]
     assert seen["accepted"].startswith("accepted\n")
     assert "the run has not finished: coffee-scene: waits for you" in seen["early edit"]
-
-
-def test_long_work_reports_progress(built):
-    _, seen = built
-    assert "compose" in seen["progress"] or "refine" in seen["progress"]
 
 
 def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path):
