@@ -19,7 +19,7 @@ from ..mllm.panel import run_coroutine
 from ..parse.further_boxes import boxes_of_photo
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..spec import Box2D, SceneTree, Spec
-from .step_context import StepContext
+from .step_context import StepContext, write_files
 
 VIEWS = "views"
 """Folder of the further photographs in a run."""
@@ -218,6 +218,5 @@ def mark_objects(context: StepContext, tree: SceneTree) -> None:
             )
             for skipped, reason in fallbacks:
                 run.fallback(BOXES_PART, f"{view.source} is not used: {skipped}", reason)
-        (out / VIEWS).mkdir()
         text = _KeptBoxes(boxes=boxes).model_dump_json(indent=1) + "\n"
-        (out / VIEWS / BOXES).write_text(text, encoding="utf-8")
+        write_files(out, {f"{VIEWS}/{BOXES}": text})

@@ -19,7 +19,7 @@ from ..run_folder import RunFolder
 from ..run_folder.staging import refuse_links
 from ..spec import ObjectSpec, SceneTree
 from .further_photos import VIEWS, further_files, kept_further, read_further
-from .step_context import GIVEN, PHOTO
+from .step_context import GIVEN, PHOTO, write_files
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
@@ -197,9 +197,7 @@ def keep_evidence(run: RunFolder, given: RunEvidence) -> None:
     with run.step(PART, {"refused": list(given.refused), **files}) as out:
         if out is None:
             return
-        for name, data in files.items():
-            (out / name).parent.mkdir(exist_ok=True)
-            (out / name).write_bytes(data)
+        write_files(out, files)
         for kind, line in lines.items():
             run.note(PART, f"known: {kind}", line)
         for reason in given.refused:

@@ -27,9 +27,8 @@ from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
 from .input_doubts import doubt_solids, doubt_unit, scaled_scene
 from .mesh_tree import MeshTree, mesh_tree
-from .object_steps import write_object_files
 from .reconstruction import finish, run_steps
-from .step_context import GIVEN, PHOTO, SPEC, TREE
+from .step_context import GIVEN, PHOTO, SPEC, TREE, object_file, write_files
 
 
 @dataclass(frozen=True)
@@ -187,9 +186,8 @@ def _write_given(
         given = scene_in_frame(given, frame)
     with run.step("parse", {"file": file}) as out:
         assert out is not None  # The folder is new.
-        (out / TREE).write_text(meshes.tree.to_json(), encoding="utf-8")
-        (out / GIVEN).write_text(given.to_json(), encoding="utf-8")
+        write_files(out, {TREE: meshes.tree.to_json(), GIVEN: given.to_json()})
         if photo is not None:
-            (out / PHOTO).write_bytes(to_png(photo.rgb))
+            write_files(out, {PHOTO: to_png(photo.rgb)})
         for name, spec in meshes.objects.items():
-            write_object_files(out, name, {SPEC: spec.to_json()})
+            write_files(out, {object_file(name, SPEC): spec.to_json()})

@@ -1,6 +1,5 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
-import json
 import math
 
 import numpy as np
@@ -21,6 +20,7 @@ from .step_context import (
     TREE,
     StepContext,
     read_tree,
+    write_files,
 )
 
 
@@ -69,7 +69,6 @@ def refine_layout(context: StepContext) -> None:
         if final is not None and final.measure is not None:
             why = "settling or the search had moved it away from its contour in the photograph"
             run.note("refine", f"aligned again: {', '.join(final.aligned)}", why)
-        (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
         moves = object_moves(composed, scene)
         checks = scene_checks(placed.measure, config.refine)
         summary = {
@@ -98,7 +97,7 @@ def refine_layout(context: StepContext) -> None:
             objects = [node for node in tree.nodes if not node.environment]
             parsed = {node.name: agreement(tree, node) for node in objects}
             summary["box_iou"] = box_iou(parsed, composed, scene)
-        (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        write_files(out, {SCENE: scene.to_json(), RESULT: summary})
         run.record("refine", seconds=placed.seconds)
         for note in refined.fallbacks:
             outcome, _, reason = note.partition(": ")

@@ -1,5 +1,7 @@
 """Context of the steps of a run, and the files that they share."""
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,10 +21,10 @@ ANNOTATION = "annotation.json"
 """Annotation of the photograph by a person; missing if there is none."""
 GIVEN = "given.json"
 """Scene as another method posed it; missing unless the run began with posed meshes."""
-PHOTO = "photo.png"
+PHOTO, PARSED, PARSED_PICTURE = "photo.png", "parse.json", "pictures/parse.png"
 TREE, COMPOSED, SCENE = "tree.json", "compose/scene.json", "scene.json"
 CHECK = "compose/check.json"
-REFIT = "compose/fit.json"
+REFIT, SCALES = "compose/fit.json", "compose/scales.json"
 ALIGNED = "compose/align.json"
 OUTLINES, EVIDENCE = "pictures/outlines.png", "pictures/evidence.png"
 DEPTH = "pictures/depth.png"
@@ -66,14 +68,33 @@ class StepContext:
                 image = render_scene(
                     read_scene(path), width=options.width, supersample=options.supersample
                 )
-                (out / file).parent.mkdir()
-                (out / file).write_bytes(to_png(image))
+                write_files(out, {file: to_png(image)})
 
 
 def read_tree(run: RunFolder, *, before: Step | None = None) -> SceneTree:
     """Read the scene tree of a run: the current tree, or the tree before a step changed it."""
     path = run.path / TREE if before is None else run.before(before, TREE)
     return read_model(path, SceneTree, SpecError, "a scene tree")
+
+
+def write_files(out: Path, files: Mapping[str, str | bytes | Mapping[str, object]]) -> None:
+    """Write files into the staging folder of a step.
+
+    Args:
+        out: the staging folder.
+        files: contents by path in the run folder; a mapping is written as JSON.
+    """
+    for name, content in files.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, Mapping):
+            content = json.dumps(content, indent=1) + "\n"
+        data = content.encode() if isinstance(content, str) else content
+        (out / name).write_bytes(data)
+
+
+def object_files(name: str, files: Mapping[str, str]) -> dict[str, str]:
+    """Return the contents of an object's files by path in the run folder."""
+    return {object_file(name, file): content for file, content in files.items()}
 
 
 def object_file(name: str, file: str) -> str:

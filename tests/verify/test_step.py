@@ -10,8 +10,8 @@ from neoworld_mjx.checks.signals import Allowance
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.mllm import Panel, Usage
 from neoworld_mjx.mllm.requests import Reply
-from neoworld_mjx.pipeline.object_steps import verify_objects, write_object_files
-from neoworld_mjx.pipeline.step_context import StepContext
+from neoworld_mjx.pipeline.object_steps import verify_objects
+from neoworld_mjx.pipeline.step_context import StepContext, object_files, write_files
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (
     Box,
@@ -126,7 +126,7 @@ def test_a_new_program_replaces_the_first_which_stays_in_the_history(tmp_path):
         for entry, spec in zip(nodes, (objects.chest(), pin()), strict=True):
             with run.step(f"program/{entry.name}", {}) as out:
                 files = {"spec.json": spec.to_json(), "program.json": '{"allowances": []}'}
-                write_object_files(out, entry.name, {**files, "program.py": first})
+                write_files(out, object_files(entry.name, {**files, "program.py": first}))
         photo = answers.photo()
         with Panel(model) as models:
             context = StepContext(run, config, photo, models)
