@@ -191,6 +191,11 @@ class AgentRun:
             ended.wait(min(0.2, seconds))
         return True
 
+    def progress(self) -> str:
+        """Return the progress of the run that computes; empty if none does."""
+        computes = self._latest is not None and not self._latest.ended.is_set()
+        return self._progress.text() if computes else ""
+
     def state(self) -> str:
         """Return the state of the current run in one line."""
         run = self._current()

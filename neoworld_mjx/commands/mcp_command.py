@@ -5,6 +5,7 @@ official SDK. The transport is stdio, or streamable HTTP on 127.0.0.1.
 """
 
 import functools
+import inspect
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 MAX_PICTURES_BYTES = 600_000
 """Size of a result's pictures above which they are sent as JPEG. The client of the SDK accepts
 1 MiB a result, in which pictures take 4/3 of their sizes."""
+PROGRESS_S = 1.0
+"""Interval at which a tool reports progress [s]."""
 ABOUT = (
     "Reconstructs one photograph as a scene for physics simulators. You are its model: call "
     "start(photo), then next_request() and submit(id, response) until the run has finished. "
@@ -112,8 +115,8 @@ def build_server(folder: Path) -> "MCPServer":
     """
     try:
         import anyio
-        from mcp.server.mcpserver import Image, MCPServer
-        from mcp.server.mcpserver.exceptions import ToolError
+        from mcp.server.mcpserver import Context, Image, MCPServer
+        from mcp.server.mcpserver.exceptions import ResourceNotFoundError, ToolError
     except ModuleNotFoundError:
         raise ConfigError("neoworld mcp needs its extra: uv sync --inexact --extra mcp") from None
     from ..mllm import package_text
@@ -130,19 +133,33 @@ def build_server(folder: Path) -> "MCPServer":
             for entry in bounded(content, MAX_PICTURES_BYTES)
         ]
 
-    def as_tool(method: Callable[..., list[Any]]) -> Callable[..., Any]:
-        @functools.wraps(method)
-        async def call(**arguments: Any) -> list[Any]:
-            work = functools.partial(method, **arguments)
-            try:
-                return images(await anyio.to_thread.run_sync(work, abandon_on_cancel=True))
-            except NeoWorldError as error:
-                raise ToolError(str(error)) from None
-            except OSError as error:
-                if (refusal := system_refusal(error)) is None:
-                    raise
-                raise ToolError(refusal) from None
+    async def report(ctx: Context) -> None:
+        elapsed = 0.0
+        while True:
+            await anyio.sleep(PROGRESS_S)
+            elapsed += PROGRESS_S
+            await ctx.report_progress(elapsed, message=tools.agent_run.progress())
 
+    def as_tool(method: Callable[..., list[Any]]) -> Callable[..., Any]:
+        async def call(ctx: Context, **arguments: Any) -> list[Any]:
+            content: list[Any] | NeoWorldError = []
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(report, ctx)
+                work = functools.partial(_outcome, method, arguments)
+                content = await anyio.to_thread.run_sync(work, abandon_on_cancel=True)
+                tasks.cancel_scope.cancel()
+            if isinstance(content, NeoWorldError):
+                raise ToolError(str(content))
+            return images(content)
+
+        signature = inspect.signature(method)
+        first = inspect.Parameter(
+            "ctx", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=Context
+        )
+        call.__name__, call.__doc__ = method.__name__, inspect.getdoc(method)
+        call.__annotations__ = {"ctx": Context}
+        parameters = [first, *signature.parameters.values()]
+        setattr(call, "__signature__", signature.replace(parameters=parameters))  # noqa: B010
         return call
 
     for name in TOOLS:
@@ -163,4 +180,32 @@ def build_server(folder: Path) -> "MCPServer":
         """Guide to object programs."""
         return package_text("neoworld_mjx.program", "guide")
 
+    def read(name: str) -> bytes:
+        try:
+            return tools.agent_run.path(str(tools.agent_run.current() / name)).read_bytes()
+        except (NeoWorldError, OSError):
+            raise ResourceNotFoundError(f"the run has no {name}") from None
+
+    @server.resource("neoworld://report", mime_type="text/html")
+    def report_page() -> str:
+        """Report of the run."""
+        return read("report.html").decode()
+
+    @server.resource("neoworld://picture/{name}", mime_type="image/png")
+    def picture(name: str) -> bytes:
+        """Picture of the run: parse, before, after, outlines or evidence."""
+        return read(f"pictures/{name}.png")
+
     return server
+
+
+def _outcome(method: Callable[..., list[Any]], arguments: dict[str, Any]) -> Any:
+    """Return what a tool returns, or the error that it raises, which a task group would wrap."""
+    try:
+        return method(**arguments)
+    except NeoWorldError as error:
+        return error
+    except OSError as error:
+        if (refusal := system_refusal(error)) is None:
+            raise
+        return RunError(refusal)

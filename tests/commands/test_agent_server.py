@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 pytest.importorskip("mcp")
-from mcp import Client, StdioServerParameters
+from mcp import Client, MCPError, StdioServerParameters
 
 from neoworld_mjx.commands.agent_edits import placement_of
 from neoworld_mjx.commands.agent_tools import TOOLS
@@ -44,15 +44,19 @@ class Agent:
     def __init__(self, client: Client, folder: Path) -> None:
         self.client, self.folder = client, folder
         self.tape = Tape.load(TAPE)
+        self.progress: list[str] = []
         self.instructions: dict[str, str] = {}
 
     async def call(self, name, **arguments):
         """Return the text of a result and its pictures; raise Refused for an error."""
-        result = await self.client.call_tool(name, arguments)
+        result = await self.client.call_tool(name, arguments, progress_callback=self._note)
         texts = [block.text for block in result.content if block.type == "text"]
         if result.is_error:
             raise Refused("\n".join(texts))
         return "\n".join(texts), [block for block in result.content if block.type == "image"]
+
+    async def _note(self, progress, total, message):
+        self.progress.append(message or "")
 
     def response(self, name):
         """The response on the tape to an open request."""
@@ -128,6 +132,7 @@ def built(tmp_path_factory):
                     )
                 seen["accepted"], _ = await coffee.call("submit", id=name, response=response)
             seen["end"] = request[1]
+            seen["progress"] = "\n".join(coffee.progress)
 
     asyncio.run(build())
     return folder, seen
@@ -205,6 +210,11 @@ def test_a_rejection_lists_every_mistake(built):
     assert "the run has not finished: coffee-scene: waits for you" in seen["early edit"]
 
 
+def test_long_work_reports_progress(built):
+    _, seen = built
+    assert "compose" in seen["progress"] or "refine" in seen["progress"]
+
+
 def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path):
     folder = copy_of(built[0], tmp_path)
 
@@ -237,6 +247,7 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
                 assert message in await refused(coffee.call("edit", **change))
             cup = folder / "coffee-scene" / "objects" / "cup"
             program = re.sub('label="[^"]*"', 'label="changed"', (cup / "program.py").read_text())
+            assert "no edit to take back" in await refused(coffee.call("edit", undo=True))
             change = {"move": [0.0, 0.003], "turn_deg": 3, "program": program}
             done, _ = await coffee.call("edit", object="cup", wait_s=300, **change)
             assert done.startswith("cup: moved, turned, another program\n")
@@ -247,10 +258,25 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
                 (x, y + 0.003, yaw + 3), abs=2e-4
             )
             assert json.loads((cup / "spec.json").read_text())["label"] == "changed"
-            # An edit returns its result.
+            # An edit returns its result, and undo takes back one edit after the other.
             done, _ = await coffee.call("edit", object="cup", turn_deg=5, wait_s=300)
             before, now = (place(row.partition(": ")[2]) for row in done.splitlines()[-2:])
             assert "finished: valid" in done and now[2] - before[2] == pytest.approx(5, abs=0.1)
+            for turn, text in (
+                (-5, "cup: turned; earlier edits: 1"),
+                (-3, "another program; earlier edits: 0"),
+            ):
+                done, _ = await coffee.call("edit", undo=True, object="cup", wait_s=300)
+                while (request := await coffee.next())[0] is not None:
+                    await coffee.call("submit", id=request[0], response={"verdict": "sound"})
+                assert text in done.splitlines()[0]
+                back = place((await coffee.call("edit", object="cup"))[0])
+                assert back[2] - now[2] == pytest.approx(turn, abs=0.1)
+                now = back
+            # The earlier program counts as an edited one, whose size is exact.
+            assert now == pytest.approx((x, y, yaw), abs=0.1)
+            assert now[:2] == pytest.approx((x, y), abs=2e-4)
+            assert json.loads((cup / "spec.json").read_text())["label"] != "changed"
 
     asyncio.run(use())
     assert (folder / "robot" / "scene").is_dir()
@@ -346,6 +372,10 @@ def test_a_hostile_session_file_is_refused(tmp_path):
     async def use():
         async with agent(tmp_path) as stranger:
             assert "names code to run" in await refused(stranger.call("status"))
+            uri = "neoworld://picture/..%2F..%2Fsecret"
+            for bad in (uri, "neoworld://report"):
+                with pytest.raises(MCPError):
+                    await stranger.client.read_resource(bad)
 
     asyncio.run(use())
 
@@ -441,7 +471,7 @@ def test_a_program_of_an_agent_is_confined(built, tmp_path):
     asyncio.run(use())
 
 
-def test_resources_hold_the_guide_and_the_skill(built, tmp_path):
+def test_resources_hold_the_guide_the_skill_and_the_run(built, tmp_path):
     folder = copy_of(built[0], tmp_path)
 
     async def read(client, uri):
@@ -454,6 +484,10 @@ def test_resources_hold_the_guide_and_the_skill(built, tmp_path):
             prompt = await coffee.client.get_prompt("reconstruct", {"photo": "desk.jpg"})
             assert "Reconstruct the photograph 'desk.jpg'" in prompt.messages[0].content.text
             assert "lathe(" in (await read(coffee.client, "neoworld://guide")).text
+            assert "<html" in (await read(coffee.client, "neoworld://report")).text
+            assert (await read(coffee.client, "neoworld://picture/parse")).blob
+            with pytest.raises(MCPError, match=r"has no pictures/none\.png"):
+                await read(coffee.client, "neoworld://picture/none")
 
     asyncio.run(use())
 
