@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from .engines import share_gpu_memory
 
 if TYPE_CHECKING:
-    from . import measure
-    from .environments import task as tasks
+    from . import measure as measure
+    from .environments import task as tasks  # noqa: F401
     from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from .physics.model import load_scene as load_scene
     from .pipeline import reconstruct as reconstruct
     from .pipeline.given_evidence import read_evidence as read_evidence
-    from .search import algorithm, rewards
+    from .search import algorithm as algorithm
+    from .search import rewards as rewards
     from .search.algorithm import Problem as Problem
     from .search.cem import CEM as CEM
     from .search.cem import CEMState as CEMState
@@ -94,46 +95,7 @@ _MODULES = {
     "tasks": "environments.task",
 }
 
-__all__ = [
-    "CEM",
-    "CEMState",
-    "DepthImage",
-    "Evidence",
-    "FurtherPhoto",
-    "Gripper",
-    "KnownCamera",
-    "KnownObjects",
-    "KnownSize",
-    "Layout",
-    "Masks",
-    "Mount",
-    "Problem",
-    "ResetNoise",
-    "Robot",
-    "SceneModel",
-    "Task",
-    "Term",
-    "ablate",
-    "algorithm",
-    "controlled_scene",
-    "gym_env",
-    "load_scene",
-    "measure",
-    "mjx_batch",
-    "mjx_env",
-    "mjx_step",
-    "propose_mount",
-    "reachable",
-    "read_evidence",
-    "reconstruct",
-    "refine",
-    "rewards",
-    "rollout",
-    "sample",
-    "sweep",
-    "task_of",
-    "tasks",
-]
+__all__ = [*_LOCATIONS, *_MODULES]  # noqa: PLE0604  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -5,7 +5,6 @@ invalid, 70 for an internal error, 130 after an interrupt.
 """
 
 import contextlib
-import difflib
 import json
 import logging
 import os
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .commands import COMMANDS
-from .errors import expected_message
+from .errors import choices, expected_message
 from .progress import LOGGER
 
 if TYPE_CHECKING:
@@ -89,12 +88,10 @@ def _no_command(args: Sequence[str]) -> str:
 
     if not args:
         return f"name a command: {', '.join(COMMANDS)}; see neoworld --help"
-    name, choices = printable(args[0]), f"choices: {', '.join(COMMANDS)}"
-    if name.startswith("-"):
-        return f"the command comes before its options, got {name!r} first; {choices}"
-    near = difflib.get_close_matches(name, COMMANDS, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ";"
-    return f"there is no command {name!r}{hint} {choices}"
+    name = choices(printable(args[0]), COMMANDS)
+    if args[0].startswith("-"):
+        return f"the command comes before its options; {name}"
+    return f"no such command: {name}"
 
 
 def parse(name: str, args: Sequence[str]) -> Any:

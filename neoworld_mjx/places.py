@@ -7,7 +7,7 @@ import contextlib
 import os
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields
 from multiprocessing import get_context
@@ -113,13 +113,19 @@ def run_tasks(
         NeoWorldError: a task raised this error.
     """
     check_place(place)
-    if place.ray is not None and tasks:
-        yield from _run_on_ray(work, tasks, place)
-    elif place.processes > 1 and tasks:
-        yield from _run_in_processes(work, tasks, place)
-    else:
+    if not tasks or (place.ray is None and place.processes == 1):
         for task in tasks:
             yield from work(task)
+        return
+    from .run_folder import versions  # Imported late to keep `--help` fast.
+
+    with _submitter(place) as submit:
+        futures = [submit(run_in_worker, work, task, versions()) for task in tasks]
+        for future in as_completed(futures):
+            results = future.result()
+            if isinstance(results, NeoWorldError):
+                raise results
+            yield from results
 
 
 def run_in_worker(
@@ -132,7 +138,7 @@ def run_in_worker(
         task: the argument of `work`.
         caller_versions: the caller's versions of the packages that affect results.
     """
-    from .run_folder import versions  # Imported late to keep `--help` fast.
+    from .run_folder import versions
 
     for name, version in versions().items():
         if caller_versions.get(name) != version:
@@ -147,29 +153,23 @@ def run_in_worker(
         return error
 
 
-def _results_of(returned: list[Result] | NeoWorldError) -> list[Result]:
-    if isinstance(returned, NeoWorldError):
-        raise returned
-    return returned
-
-
-def _run_in_processes(
-    work: Work[Task, Result], tasks: Sequence[Task], place: Place
-) -> Iterator[Result]:
-    from .run_folder import versions
-
-    with ProcessPoolExecutor(place.processes, get_context("spawn")) as pool:
-        futures = [pool.submit(run_in_worker, work, task, versions()) for task in tasks]
-        try:
-            for future in as_completed(futures):
-                yield from _results_of(future.result())
-        except BrokenProcessPool:
-            raise RunError(
-                "a process died, perhaps out of memory: use fewer --workers; finished rows are kept"
-            ) from None
-        finally:
-            # If the loop ends early, for example by Ctrl-C, cancel the tasks that have not begun.
-            pool.shutdown(wait=False, cancel_futures=True)
+@contextlib.contextmanager
+def _submitter(place: Place) -> Iterator[Callable[..., Future[Any]]]:
+    """Yield a function that submits a call to a worker, and cancel the calls that are left."""
+    if place.ray is not None:
+        with _on_ray(place) as submit:
+            yield submit
+        return
+    pool = ProcessPoolExecutor(place.processes, get_context("spawn"))
+    try:
+        yield pool.submit
+    except BrokenProcessPool:
+        raise RunError(
+            "a process died, perhaps out of memory: use fewer --workers; finished rows are kept"
+        ) from None
+    finally:
+        # If the loop ends early, for example by Ctrl-C, calls that have not begun are cancelled.
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _open_ray() -> Any:
@@ -208,10 +208,9 @@ def _ray_session(ray: Any, place: Place) -> Iterator[None]:
         ray.shutdown()
 
 
-def _run_on_ray(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -> Iterator[Result]:
-    from .run_folder import versions
-
-    ray = _open_ray()
+@contextlib.contextmanager
+def _on_ray(place: Place) -> Iterator[Callable[..., Future[Any]]]:
+    ray, references = _open_ray(), []
     with _ray_session(ray, place):
         available = ray.cluster_resources()
         for name, required in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
@@ -220,15 +219,17 @@ def _run_on_ray(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -
                     f"--ray {place.ray}: a task needs {required} {name}, but the cluster has "
                     f"{available.get(name, 0):g}"
                 )
-        # Ray repeats a task only if its worker is lost, not if the task raises.
-        remote = ray.remote(run_in_worker).options(
-            num_cpus=place.task_cores, num_gpus=place.task_gpus, max_retries=RETRIES
-        )
-        waiting = [remote.remote(work, task, versions()) for task in tasks]
+
+        def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            # Ray repeats a task only if its worker is lost, not if the task raises.
+            remote = ray.remote(function).options(
+                num_cpus=place.task_cores, num_gpus=place.task_gpus, max_retries=RETRIES
+            )
+            references.append(remote.remote(*arguments))
+            return references[-1].future()
+
         try:
-            while waiting:
-                (done, *_), waiting = ray.wait(waiting)
-                yield from _results_of(ray.get(done))
+            yield submit
         except ray.exceptions.RayTaskError as error:
             raise error.cause from error
         except ray.exceptions.RayError as error:
@@ -239,5 +240,5 @@ def _run_on_ray(work: Work[Task, Result], tasks: Sequence[Task], place: Place) -
             ) from None
         finally:
             with contextlib.suppress(Exception):
-                for reference in waiting:
+                for reference in references:
                     ray.cancel(reference, force=True)

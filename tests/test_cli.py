@@ -1,5 +1,4 @@
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -11,7 +10,7 @@ from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands import COMMANDS
-from neoworld_mjx.commands.doctor_command import COMPONENTS, DoctorCommand
+from neoworld_mjx.commands.doctor_command import EXTRAS, DoctorCommand
 from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
@@ -205,7 +204,7 @@ def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, mon
     answer = json.loads(completed.stdout)
     assert answer["keys"]["ANTHROPIC_API_KEY"] is True
     assert secret not in completed.stdout + completed.stderr
-    assert answer["cache"]["folder"] == str(tmp_path)
+    assert answer["cache"] == str(tmp_path)
     assert answer["engines"]["native"] == "ready"
     assert answer["versions"]["mujoco"]
     missing = {entry["name"] for entry in answer["missing"]}
@@ -214,20 +213,15 @@ def test_doctor_lists_what_is_installed_and_shows_no_key(neoworld, tmp_path, mon
     )
 
 
-@pytest.mark.parametrize("part", COMPONENTS, ids=lambda part: part.name)
-def test_doctor_names_extras_that_exist(part):
+def test_doctor_names_extras_that_exist():
     extras = tomllib.loads(Path("pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert isinstance(part.present(), bool)
-    assert "pip install" not in part.remedy, "the package is on no index"
-    named = re.findall(r"--extra (\w+)", part.remedy)
-    assert named == [part.name.split()[-1]] or not part.name.startswith("extra ")
-    assert set(named) <= extras.keys()
+    assert EXTRAS.keys() <= extras.keys()
 
 
 def test_listings_are_short(neoworld, tmp_path):
     said = neoworld("doctor").stdout.splitlines()
     assert "Python 3" in said[0] and said[1].startswith("engines: ") and "native" in said[1]
-    assert len(said) <= 3 + 2 * len(COMPONENTS) and all(len(line) < 160 for line in said)
+    assert len(said) < 20 and all(len(line) < 160 for line in said)
     said = neoworld("template").stdout.splitlines()
     assert said[0] == f"{len(templates())} templates:" and len(said) < 20
     listed = " ".join(said[1:-1]).replace(" ", "").split(",")

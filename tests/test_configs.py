@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from neoworld_mjx.config import Config, list_options, load_config
-from neoworld_mjx.config.pages import default_yaml, differences_page, options_page
+from neoworld_mjx.config.pages import differences_page, options_page
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -24,18 +24,10 @@ def test_every_configuration_loads_and_survives_a_round_trip(path):
 
 def test_generated_pages_match_the_declarations():
     stale = "regenerate them: python -m neoworld_mjx.config --write"
-    assert (CONFIGS / "default.yaml").read_text() == default_yaml(), stale
     docs = CONFIGS.parent / "docs"
     assert (docs / "options.md").read_text() == options_page(), stale
     page = (docs / "differences-from-the-paper.md").read_text()
     assert page == differences_page(), stale
-
-
-def test_default_spells_out_every_option_with_its_default():
-    path = CONFIGS / "default.yaml"
-    assert load_config(path) == Config()
-    given = _keys(yaml.safe_load(path.read_text()))
-    assert given == {tuple(option.path.split(".")) for option in list_options(Config)}
 
 
 UNITS = {"_m": "m", "_m_s": "m/s", "_s": "s", "_deg": "deg", "_px": "px"}

@@ -157,13 +157,11 @@ class AgentRun:
 
     def photo(self) -> "tuple[Photo, KnownCamera | None]":
         """Return the photograph as the run uses it, and what the evidence says about its camera."""
-        from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
-        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
+        from ..pipeline.given_evidence import known_photo
 
-        path, side = self._photo(self._current().session), self.config().parse.max_side_px
-        photo = load_photo(path, side, MODEL_MIN_SIDE_PX)
-        evidence = evidence_of_run(photo, None, self.current()).evidence
-        return undistorted_photo(photo, evidence), evidence.camera
+        path = self._photo(self._current().session)
+        photo, known = known_photo(path, self.config(), None, self.current())
+        return photo, known.evidence.camera
 
     def config(self) -> Config:
         """Return the options of the current run."""

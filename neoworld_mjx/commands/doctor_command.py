@@ -1,7 +1,6 @@
 """Command `doctor`: installed packages, available engines and missing components."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -11,85 +10,54 @@ from ..quantities import count
 from .base_command import Command, CommandResult
 from .result_lines import DETAILS
 
-_KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
+KEYS = ("ANTHROPIC_API_KEY", "OPENAI_API_KEY")
+EXTRAS = {
+    "warp": ("mujoco_warp", "no engine warp, the fastest on NVIDIA GPUs for large populations"),
+    "openai": ("openai", "no provider openai, and no servers with its protocol"),
+    "mcp": ("mcp", "coding agents cannot answer the requests of a run (neoworld mcp)"),
+    "baselines": ("evosax", "no refine.optimizer evosax:STRATEGY"),
+    "plot": ("matplotlib", "sweeps draw no figure"),
+}
+"""A package of each optional extra, and what is missing without the extra."""
 
 
-class Component(NamedTuple):
-    """Optional component of an installation."""
+class Missing(NamedTuple):
+    """A component that is not installed, or not used."""
 
     name: str
-    present: Callable[[], bool]
     consequence: str
     """Features that are missing or slow without the component."""
     remedy: str
-    """Command that installs the component."""
+    """How to get the component."""
 
 
-def _installed(package: str) -> Callable[[], bool]:
-    return lambda: find_spec(package) is not None
-
-
-def _key() -> bool:
-    return any(os.environ.get(name) for name in _KEYS)
-
-
-def _gpu_in_use() -> bool:
-    """Return True if JAX uses the NVIDIA GPU, or if the machine has none."""
+def missing_components() -> list[Missing]:
+    """Return the optional components that this installation lacks."""
     from shutil import which
 
     import jax
 
-    return which("nvidia-smi") is None or any(d.platform == "gpu" for d in jax.devices())
-
-
-def _blender() -> bool:
     from ..program.blender.blender_process import blender_python
 
-    return blender_python().exists()
-
-
-COMPONENTS = (
-    Component(
-        *("a model's key", _key),
-        "photographs other than the examples need responses by hand (--provider mailbox)",
-        "export ANTHROPIC_API_KEY=..., or OPENAI_API_KEY=... with the extra openai",
-    ),
-    Component(
-        *("JAX on the GPU", _gpu_in_use),
-        "the engine mjx runs on the CPU, many times slower",
-        "uv sync --inexact --extra cuda",
-    ),
-    Component(
-        *("extra warp", lambda: _installed("warp")() and _installed("mujoco_warp")()),
-        "no engine warp, the fastest on NVIDIA GPUs for large populations",
-        "uv sync --inexact --extra warp",
-    ),
-    Component(
-        *("extra openai", _installed("openai")),
-        "no provider openai, and no servers with its protocol",
-        "uv sync --inexact --extra openai",
-    ),
-    Component(
-        *("extra mcp", _installed("mcp")),
-        "coding agents cannot answer the requests of a run (neoworld mcp)",
-        "uv sync --inexact --extra mcp",
-    ),
-    Component(
-        *("extra baselines", _installed("evosax")),
-        "no refine.optimizer evosax:STRATEGY",
-        "uv sync --inexact --extra baselines",
-    ),
-    Component(
-        *("extra plot", _installed("matplotlib")),
-        "sweeps draw no figure",
-        "uv sync --inexact --extra plot",
-    ),
-    Component(
-        *("Blender (bpy)", _blender),
-        "no program.language blender, as in the paper; 360 MB to download, 970 MB on disk",
-        "the two uv commands in docs/how-to/blender-programs.md",
-    ),
-)
+    install = "uv sync --inexact --extra"
+    missing = []
+    if not any(map(os.environ.get, KEYS)):
+        consequence = "photographs other than the examples need responses by hand"
+        remedy = "export ANTHROPIC_API_KEY=..., or OPENAI_API_KEY=... with the extra openai"
+        missing.append(Missing("a model's key", f"{consequence} (--provider mailbox)", remedy))
+    if which("nvidia-smi") and all(device.platform != "gpu" for device in jax.devices()):
+        consequence = "the engine mjx runs on the CPU, many times slower"
+        missing.append(Missing("JAX on the GPU", consequence, f"{install} cuda"))
+    missing += [
+        Missing(f"extra {extra}", consequence, f"{install} {extra}")
+        for extra, (package, consequence) in EXTRAS.items()
+        if find_spec(package) is None
+    ]
+    if not blender_python().exists():
+        consequence = "no program.language blender, as in the paper; it takes 970 MB on disk"
+        remedy = "the two uv commands in docs/how-to/blender-programs.md"
+        missing.append(Missing("Blender (bpy)", consequence, remedy))
+    return missing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,34 +75,27 @@ class DoctorCommand(Command):
         from ..run_folder import versions
 
         check_jax()
-        cache = cache_folder()
         return {
             "system": platform.platform(),
             "cores": os.cpu_count(),
             "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
             "engines": {name: _engine(name) for name in ENGINES},
-            "cache": {"folder": str(cache), "exists": cache.is_dir()},
-            "keys": {name: bool(os.environ.get(name)) for name in _KEYS},
-            "missing": [
-                {"name": part.name, "consequence": part.consequence, "remedy": part.remedy}
-                for part in COMPONENTS
-                if not part.present()
-            ],
+            "cache": str(cache_folder()),
+            "keys": {name: bool(os.environ.get(name)) for name in KEYS},
+            "missing": [missing._asdict() for missing in missing_components()],
             "versions": versions(),
         }
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return a short summary of the result."""
         versions, engines = result["versions"], result["engines"]
-        unavailable = [name for name, state in engines.items() if state != "ready"]
         packages = ", ".join(
             f"{name} {versions[name]}" for name in ("neoworld-mjx", "jax", "mujoco")
         )
-        others = f"; unavailable: {', '.join(unavailable)}" if unavailable else ""
         rows = [
             f"machine: {count(result['cores'], 'core')}, {', '.join(result['devices'])}; "
             f"Python {versions['python']}, {packages}",
-            f"engines: {', '.join(name for name in engines if name not in unavailable)}{others}",
+            f"engines: {', '.join(name for name, state in engines.items() if state == 'ready')}",
         ]
         for part in result["missing"]:
             rows.append(f"missing: {part['name']}: {part['consequence']}")

@@ -98,7 +98,7 @@ class RenderCommand(ConfiguredCommand):
 
     def run(self) -> CommandResult:
         """Render the scene."""
-        from ..io.files import check_output, write_output
+        from ..io.files import write_output
         from ..render import render_scene, to_png
         from ..render.scene_images import with_open_joints
         from ..view.target import open_target
@@ -107,7 +107,6 @@ class RenderCommand(ConfiguredCommand):
         options = config.render
         scene = open_target(self.target, config).after
         out = self.out or self._default_path("render.png")
-        check_output(out, RunError)
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
@@ -212,20 +211,17 @@ class AnnotateCommand(EvidenceFlags, PageCommand):
 
     def run(self) -> CommandResult:
         """Serve the page."""
-        from ..parse.photo import load_photo
         from ..pipeline.annotated import read_annotation, write_annotated
-        from ..pipeline.given_evidence import evidence_of_run, undistorted_photo
+        from ..pipeline.given_evidence import known_photo
         from ..run_folder import Result
         from ..view.annotate_page import Annotator, empty_annotation
         from ..view.annotation import Annotation
         from ..view.server import address, close_server, open_server
 
         config = self.load_config()
-        photo = load_photo(self.photo, config.parse.max_side_px)
         kept = None if self.start is None else self.out
-        known = evidence_of_run(photo, self.stated(), kept).evidence
-        photo = undistorted_photo(photo, known)
-        annotation = empty_annotation(photo, known.camera)
+        photo, known = known_photo(self.photo, config, self.stated(), kept)
+        annotation = empty_annotation(photo, known.evidence.camera)
         if self.start is not None:
             empty, annotation = annotation.camera, read_annotation(self.out)
             run_size, photo_size = (
@@ -245,7 +241,9 @@ class AnnotateCommand(EvidenceFlags, PageCommand):
 
         def write(annotation: Annotation, simulate: bool) -> Result:
             return write_annotated(
-                *(self.photo, self.out, annotation, config), simulate=simulate, evidence=known
+                *(self.photo, self.out, annotation, config),
+                simulate=simulate,
+                evidence=known.evidence,
             )
 
         server = open_server(f"annotate {self.photo.name}", host=self.host, port=self.port)

@@ -1,6 +1,6 @@
 """Configuration: declarations of all options, and their validation and reading from YAML.
 
-`python -m neoworld_mjx.config --write` generates `configs/default.yaml`, `docs/options.md` and
+`python -m neoworld_mjx.config --write` generates `docs/options.md` and
 `docs/differences-from-the-paper.md` from the declarations.
 """
 

@@ -1,7 +1,6 @@
 """Evidence as a run keeps it: evidence.json, depth.npy, confidence.npy and masks.png."""
 
 import dataclasses
-import hashlib
 import io
 import json
 from pathlib import Path
@@ -56,14 +55,6 @@ def evidence_files(evidence: Evidence) -> dict[str, bytes]:
         Image.fromarray(labels).save(buffer, "PNG")
         files[MASKS] = buffer.getvalue()
     return {STATED: (json.dumps(stated, indent=1) + "\n").encode(), **files}
-
-
-def evidence_digest(evidence: Evidence) -> str:
-    """Return a hash of everything that `evidence_files` writes."""
-    digest = hashlib.sha256()
-    for name, data in evidence_files(evidence).items():
-        digest.update(f"{name}\0{len(data)}\0".encode() + data)
-    return digest.hexdigest()
 
 
 def read_stored(folder: Path) -> Evidence:

@@ -1,6 +1,6 @@
 """Bounded readers of untrusted files, atomic writes, and names that are safe in paths and markup.
 
-This package has one reader for each kind of file: text, JSON, YAML, Parquet, arrays and images. The
+This package has one reader for each kind of file: text, JSON, YAML, arrays and images. The
 readers of XML and meshes are in `export`. All readers open files with `files.read_bytes`, enforce
 the limits of `FileOptions`, and report a file that they cannot read in a single message.
 """

@@ -99,22 +99,6 @@ def write_output(path: Path, data: str | bytes, error: type[NeoWorldError]) -> N
         raise error(f"cannot write {path}: {problem.strerror}") from None
 
 
-def check_output(path: Path, error: type[NeoWorldError]) -> None:
-    """Check, before long work, whether `write_output` could write a file.
-
-    Raises:
-        NeoWorldError: of the class `error`: the parent folder is missing or read-only, or a folder,
-            pipe or device exists at the path.
-    """
-    try:
-        with open_parent(path.parent, path.name) as (parent, last):
-            _check_replaceable(parent, last, path)
-        if not os.access(path.parent, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as problem:
-        raise error(f"cannot write {path}: {problem.strerror}") from None
-
-
 def write_inside(folder: Path, name: str, data: str | bytes, *, sync: bool = True) -> None:
     """Write a file below a folder as `write_atomic` does, creating missing subfolders.
 

@@ -9,9 +9,9 @@ space. If a worker dies, the caller raises an error with a single message.
 
 The command
 
-    python -m neoworld_mjx.io.limited_worker
+    python -m neoworld_mjx.io.limited_worker FD
 
-runs the server, which receives calls on stdin and sends results to stdout.
+runs the server, which receives calls and sends results through an inherited connection.
 """
 
 import atexit
@@ -22,7 +22,6 @@ import pickle
 import resource
 import select
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -31,6 +30,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import lru_cache, partial
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, Literal, TypeVar
 
@@ -52,8 +53,7 @@ class FileOptions(Options):
     )
     timeout_s: float = option(
         8.0,
-        "Processor time limit of the worker process that reads an asset, a large image or a "
-        "Parquet table.",
+        "Processor time limit of the worker process that reads an asset or a large image.",
         unit="s",
         gt=0,
         le=86400,
@@ -223,10 +223,12 @@ def run_limited(
     call = (function, tuple(arguments), tuple(needs), bounds, wall_factor, Path.cwd())
     with _lock:
         try:
-            kind, payload = _exchange(_server(os.getpid()), pickle.dumps(call))
+            _, connection = _server(os.getpid())
+            connection.send_bytes(pickle.dumps(call))
+            kind, payload = connection.recv()
         except BaseException as failure:
             _stop()  # A late result must not be taken for the result of the next call.
-            if isinstance(failure, EOFError | BrokenPipeError):
+            if isinstance(failure, EOFError | ConnectionError):
                 raise WorkerEndedError("lost") from None
             raise
     if kind == _RESULT:
@@ -240,65 +242,46 @@ def run_limited(
 
 
 @lru_cache(maxsize=1)
-def _server(pid: int) -> "subprocess.Popen[bytes]":
+def _server(pid: int) -> "tuple[subprocess.Popen[bytes], Connection]":
     """Return the server of the process `pid`; the first call starts the server."""
     del pid
     package = str(Path(__file__).parents[2])
     inherited = os.environ.get("PYTHONPATH")
     path = package if inherited is None else f"{package}{os.pathsep}{inherited}"
-    return subprocess.Popen(
-        [sys.executable, "-m", __name__],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        # Libraries may print strings from the file, and these may control the terminal.
-        stderr=subprocess.DEVNULL,
-        env=os.environ | _ONE_THREAD | {"PYTHONPATH": path},
-        process_group=0,
-    )
-
-
-def _exchange(server: "subprocess.Popen[bytes]", call: bytes) -> tuple[int, bytes]:
-    assert server.stdin is not None and server.stdout is not None
-    _send(server.stdin, _RESULT, call)
-    return _receive(server.stdout)
+    connection, end = Pipe()
+    with end:
+        process = subprocess.Popen(
+            [sys.executable, "-m", __name__, str(end.fileno())],
+            pass_fds=[end.fileno()],
+            stdin=subprocess.DEVNULL,
+            # Libraries may print strings from the file, and these may control the terminal.
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | _ONE_THREAD | {"PYTHONPATH": path},
+            process_group=0,
+        )
+    return process, connection  # pyright: ignore[reportReturnType]
 
 
 @atexit.register
 def _stop() -> None:
     """Kill the server of this process and its worker, if the server has been started."""
     if _server.cache_info().currsize:
-        server = _server(os.getpid())
+        process, connection = _server(os.getpid())
         with suppress(ProcessLookupError):
-            os.killpg(server.pid, signal.SIGKILL)
-        server.communicate()
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        connection.close()
     _server.cache_clear()
 
 
-def _send(stream: IO[bytes], kind: int, data: bytes) -> None:
-    stream.write(struct.pack("<BQ", kind, len(data)) + data)
-    stream.flush()
-
-
-def _receive(stream: IO[bytes]) -> tuple[int, bytes]:
-    head = stream.read(9)
-    if len(head) < 9:
-        raise EOFError
-    kind, size = struct.unpack("<BQ", head)
-    data = stream.read(size)
-    if len(data) < size:
-        raise EOFError
-    return kind, data
-
-
-def _serve() -> None:
-    """Answer calls until stdin ends."""
+def _serve(connection: Connection) -> None:
+    """Answer calls until the caller ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # The caller ends this process.
-    calls, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # The output of libraries must not mix with results.
     while True:
         try:
-            _, data = _receive(calls)
-        except EOFError:
+            data = connection.recv_bytes()
+        except (EOFError, ConnectionError):
             return
         try:
             function, arguments, needs, bounds, wall_factor, folder = pickle.loads(data)
@@ -306,7 +289,7 @@ def _serve() -> None:
                 importlib.import_module(name)
             output = tempfile.TemporaryFile()  # noqa: SIM115 - closed below
         except Exception as failure:
-            _send(results, _ERROR, f"{type(failure).__name__}: {failure}".encode())
+            connection.send((_ERROR, f"{type(failure).__name__}: {failure}".encode()))
             continue
         with output:
             alive, held = os.pipe()
@@ -316,17 +299,17 @@ def _serve() -> None:
                 set_file_bounds(bounds)
                 _work(output, arguments[0], partial(function, *arguments))
             os.close(held)
-            # `alive` becomes readable when the worker ends, `calls` when the caller ends.
+            # `alive` becomes readable when the worker ends, `connection` when the caller ends.
             wall_s = bounds.timeout_s * wall_factor
-            if alive not in select.select([alive, calls], [], [], wall_s)[0]:
+            if alive not in select.select([alive, connection], [], [], wall_s)[0]:
                 os.kill(pid, signal.SIGKILL)
             os.close(alive)
             status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
             if status in (_RESULT, _ERROR):
                 output.seek(0)
-                _send(results, status, output.read())
+                connection.send((status, output.read()))
             else:
-                _send(results, _DEATH, str(status).encode())
+                connection.send((_DEATH, str(status).encode()))
 
 
 def _work(output: IO[bytes], path: Path, call: Callable[[], Any]) -> None:
@@ -381,4 +364,4 @@ if __name__ == "__main__":
     # Called functions use the limits of the imported package, so __main__ must not serve them.
     from neoworld_mjx.io import limited_worker
 
-    limited_worker._serve()
+    limited_worker._serve(Connection(int(sys.argv[1])))

@@ -1,39 +1,9 @@
-"""Untrusted strings as safe identifiers, file names and lines, and tables of text cells."""
+"""Untrusted strings as safe identifiers, file names and lines."""
 
-import csv
-import io
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
-
-
-class TextTable(NamedTuple):
-    """Table of formatted cells."""
-
-    note: str
-    """Text above the table, possibly empty."""
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-    def markdown(self) -> str:
-        """Return the table as Markdown; all columns but the first are right-aligned."""
-        rule = ["---", *["---:"] * (len(self.head) - 1)]
-        lines = [f"| {' | '.join(map(_markdown_cell, row))} |" for row in (self.head, *self.rows)]
-        lines.insert(1, f"| {' | '.join(rule)} |")
-        return "\n".join(([self.note, ""] if self.note else []) + lines) + "\n"
-
-    def comma_separated(self) -> str:
-        """Return the table as CSV."""
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows([self.head, *self.rows])
-        return stream.getvalue()
-
-
-def _markdown_cell(cell: str) -> str:
-    return cell.replace("|", r"\|")
-
+from collections.abc import Iterable
 
 MAX_NAME = 48
 NAME_RULE = f"letters, digits and underscores, a letter first, at most {MAX_NAME}"

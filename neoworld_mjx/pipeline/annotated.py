@@ -1,6 +1,5 @@
 """Write an annotation as the first two steps of a run; run the later steps without a model."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,6 @@ from ..evidence.known_camera import EXACT_FOCAL, KnownCamera
 from ..io import bounded_by, read_model
 from ..parse.crops import colour_in_box, crops, support_colours
 from ..parse.draw import draw_parse
-from ..parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from ..program import build
 from ..program.ask import written_without_model
 from ..program.supports import support_program
@@ -19,17 +17,21 @@ from ..run_folder import Result, RunFolder
 from ..spec import SceneTree, TreeNode
 from ..view.annotated_tree import annotated_tree, annotation_from_tree, program_of
 from ..view.annotation import EXISTING_PROGRAM, WRITTEN_BY_MODEL, Annotation
-from .given_evidence import (
-    Given,
-    evidence_of_run,
-    keep_evidence,
-    kept_inputs,
-    parse_inputs,
-    undistorted_photo,
-)
-from .object_steps import program_inputs, write_asset, write_object_files
+from .given_evidence import Given, keep_evidence, kept_inputs, known_photo, parse_inputs
+from .object_steps import program_inputs, write_asset
 from .reconstruction import finish, run_steps
-from .step_context import ANNOTATION, PROGRAM, ROUNDS, SPEC, TREE
+from .step_context import (
+    ANNOTATION,
+    PARSED,
+    PARSED_PICTURE,
+    PHOTO,
+    PROGRAM,
+    ROUNDS,
+    SPEC,
+    TREE,
+    object_files,
+    write_files,
+)
 
 Files = dict[str, str]
 """Contents of an object's files, by file name."""
@@ -79,20 +81,13 @@ def write_annotated(
         NeoWorldError: the annotation has no valid tree, a program fails, or a step fails.
     """
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         exists = (out / "run.json").is_file()
-        known = evidence_of_run(picture, evidence, out if exists else None)
-        picture = undistorted_photo(picture, known.evidence)
+        picture, known = known_photo(photo, config, evidence, out if exists else None)
         annotation = _calibrated(annotation, known.evidence.camera)
         objects = known.evidence.objects
         tree = objects.applied(annotated_tree(annotation))
         objects.check_names(tree)
         by_name = {obj.name: obj for obj in annotation.objects}
-        kept_files = {
-            obj.name: _read_files(out / "objects" / obj.name)
-            for obj in annotation.objects
-            if obj.kind == EXISTING_PROGRAM and obj.name not in objects.assets
-        }
         colours, crop_by_name = support_colours(picture, tree), crops(picture, tree)
         texts: dict[str, Files] = {}
         for node in tree.nodes:
@@ -103,7 +98,7 @@ def write_annotated(
                 rgb = colours[node.name].rgb if node.name in colours else None
                 texts[node.name] = _build_files(node, support_program(node, rgb), "support", config)
             elif obj is not None and obj.kind == EXISTING_PROGRAM:
-                texts[node.name] = kept_files[node.name]
+                texts[node.name] = _read_files(out / "objects" / node.name)
             elif obj is not None:
                 rgb = colour_in_box(picture, tree, node)
                 text = program_of(obj, node.box3d.size, rgb)
@@ -116,17 +111,19 @@ def write_annotated(
             inputs |= parse_inputs(kept_inputs(run))
             with run.step("parse", inputs) as step:
                 assert step is not None
-                (step / TREE).write_text(tree.to_json(), encoding="utf-8")
-                (step / ANNOTATION).write_text(
-                    annotation.model_dump_json(indent=1) + "\n", encoding="utf-8"
-                )
-                (step / "photo.png").write_bytes(to_png(picture.rgb))
-                (step / "pictures").mkdir()
-                image = draw_parse(picture, tree, draw_3d_boxes=True).data
-                (step / "pictures" / "parse.png").write_bytes(image)
-                (step / "parse.json").write_text('{"rounds": []}\n', encoding="utf-8")
+                files: dict[str, str | bytes] = {
+                    TREE: tree.to_json(),
+                    ANNOTATION: annotation.model_dump_json(indent=1) + "\n",
+                    PHOTO: to_png(picture.rgb),
+                    PARSED_PICTURE: draw_parse(picture, tree, draw_3d_boxes=True).data,
+                    PARSED: '{"rounds": []}\n',
+                }
+                write_files(step, files)
             program = program_inputs(tree, crop_by_name, colours, config.program, objects.assets)
-            _write_programs(run, texts, program)
+            for name, texts_of_object in texts.items():
+                with run.step(f"program/{name}", program[name]) as step:
+                    if step is not None:
+                        write_files(step, object_files(name, texts_of_object))
             for name, spec in objects.assets.items():
                 write_asset(run, f"program/{name}", name, spec, program[name])
             left_to_model = [
@@ -147,16 +144,6 @@ def _calibrated(annotation: Annotation, known: KnownCamera | None) -> Annotation
     if known.focal_sd > EXACT_FOCAL:
         known = replace(known, focal=None)
     return annotation.model_copy(update={"camera": known.camera(annotation.camera)})
-
-
-def _write_programs(
-    run: RunFolder, texts: Mapping[str, Files], inputs: Mapping[str, Mapping[str, object]]
-) -> None:
-    for name, files in texts.items():
-        with run.step(f"program/{name}", inputs[name]) as step:
-            if step is None:
-                continue
-            write_object_files(step, name, files)
 
 
 def _build_files(node: TreeNode, text: str, stage: str, config: Config) -> Files:

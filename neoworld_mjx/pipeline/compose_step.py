@@ -6,12 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import UInt8
-
 from ..errors import SpecError
 from ..io import read_model
-from ..parse.photo import load_photo
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
 from .edited_files import edited_objects, moves_from_tree, tree_edited
@@ -21,17 +17,18 @@ from .step_context import (
     COMPOSED,
     DEPTH,
     EVIDENCE,
-    GIVEN,
     OUTLINES,
     PHOTO,
     REFIT,
     RESPONSE_TREE,
+    SCALES,
     SPEC,
     TREE,
     StepContext,
     object_file,
     read_spec,
     read_tree,
+    write_files,
 )
 
 if TYPE_CHECKING:
@@ -46,10 +43,11 @@ def compose_scene(context: StepContext) -> None:
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
-    pictures/depth.png. The scene's picture is rendered in the background.
+    pictures/depth.png, and the scene's picture.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
+    from .given_evidence import evidence_of_tree
     from .place import place
 
     run, config = context.run, context.config
@@ -66,8 +64,9 @@ def compose_scene(context: StepContext) -> None:
     with run.step("compose", inputs) as out:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
-            (out / "compose").mkdir()
-            kept = _evidence(run, tree)
+            kept, unmatched = evidence_of_tree(run, tree)
+            for note in unmatched:
+                run.note("compose", note, "no 2D box overlaps it enough")
             # Objects whose programs a person edited keep their sizes, as given assets do.
             assets = kept.objects.assets | {name: objects[name] for name in by_hand}
             evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
@@ -91,33 +90,13 @@ def compose_scene(context: StepContext) -> None:
                 )
                 if base is not None:
                     scene = scene.model_copy(update={"backdrop": None})
-            (out / COMPOSED).write_text(scene.to_json(), encoding="utf-8")
-            _write_json(out / "compose" / "scales.json", placed.composed.scales)
+            write_files(out, {COMPOSED: scene.to_json(), SCALES: placed.composed.scales})
             _record_notes(run, placed)
             for outcome, reason in moves_from_tree(tree, placed.scene) if edited else ():
                 run.note("compose", outcome, reason)
             _record_patch(run, patch, stale)
-    context.pictures.begin("compose/picture", run.path / COMPOSED, "pictures/before.png")
+    context.draw("compose/picture", COMPOSED, "pictures/before.png")
     _check_composed(context)
-
-
-def _evidence(run: RunFolder, tree: SceneTree) -> "Evidence":
-    """Return the evidence of a run, with masks assigned to the objects of the tree."""
-    from ..evidence.mask_files import matched_to
-    from .given_evidence import kept_evidence
-
-    kept, photo = kept_evidence(run), (run.path / PHOTO).is_file()
-    masks, notes = kept.masks, ()
-    if masks is not None:
-        masks, notes = matched_to(masks, tree)
-    for note in notes:
-        run.note("compose", note, "no 2D box overlaps it enough")
-    return replace(
-        kept,
-        photo=_rgb(run) if photo else None,
-        masks=masks,
-        boxes=not (run.path / GIVEN).is_file(),
-    )
 
 
 def _unfitted(run: RunFolder, tree: SceneTree) -> SceneTree:
@@ -158,8 +137,7 @@ def _write_fit(run: RunFolder, placed: "LayoutEstimate", out: Path) -> None:
     """Write the fitted tree and the report of the fit, if there was one."""
     if placed.fit is None:
         return
-    (out / TREE).write_text(placed.tree.to_json(), encoding="utf-8")
-    _write_json(out / REFIT, placed.fit.to_json())
+    write_files(out, {TREE: placed.tree.to_json(), REFIT: placed.fit.to_json()})
     for outcome, reason in placed.fit.notes():
         run.note("compose", outcome, reason)
 
@@ -186,22 +164,24 @@ def _write_alignment(
 
     report, aligned, photo = alignment.to_json(), alignment.scene, evidence.photo
     if aligned.camera is not None and photo is not None:
-        (out / OUTLINES).parent.mkdir(exist_ok=True)
-        (out / OUTLINES).write_bytes(to_png(outline_picture(photo, scene, aligned)))
-        (out / EVIDENCE).write_bytes(to_png(evidence_picture(aligned, photo)))
+        pictures = {
+            OUTLINES: to_png(outline_picture(photo, scene, aligned)),
+            EVIDENCE: to_png(evidence_picture(aligned, photo)),
+        }
         before, after = (outline_errors(s, photo) for s in (scene, aligned))
         report["outlines_px"] = {
             name: {"composed": before[name], "aligned": after[name]} for name in after
         }
         if evidence.depth is not None:
-            (out / DEPTH).write_bytes(to_png(depth_picture(aligned, evidence.depth, photo)))
+            pictures[DEPTH] = to_png(depth_picture(aligned, evidence.depth, photo))
         if evidence.masks is not None:
             before, after = (mask_overlaps(s, evidence.masks) for s in (scene, aligned))
             report["masks_iou"] = {
                 name: {"composed": round(before[name], 4), "aligned": round(after[name], 4)}
                 for name in after
             }
-    _write_json(out / ALIGNED, report)
+        write_files(out, pictures)
+    write_files(out, {ALIGNED: report})
     if alignment.failure:
         reason = alignment.failure
         run.fallback("compose", "the scene is not aligned with the photograph", reason)
@@ -213,7 +193,7 @@ def _write_alignment(
         elif view is not None:
             shown = (s.model_copy(update={"camera": view.camera}) for s in (scene, aligned))
             picture = to_png(outline_picture(further.photo, *shown))
-            (out / f"pictures/view_{number}.png").write_bytes(picture)
+            write_files(out, {f"pictures/view_{number}.png": picture})
     for outcome, reason in alignment.notes(scene):
         run.note("compose", outcome, reason)
 
@@ -267,19 +247,10 @@ def _check_composed(context: StepContext) -> None:
             scene, measure, max_drift=limits.max_drift_m, max_tilt=limits.max_tilt_deg
         )
         entries = [json.loads(e.model_dump_json()) | {"phrase": e.phrase()} for e in moving]
-        (out / CHECK).parent.mkdir()
-        _write_json(out / CHECK, {"unstable": entries})
+        write_files(out, {CHECK: {"unstable": entries}})
         if moving:
             count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
             run.note("compose/check", f"{count} not rest before the search", phrases(moving))
         for entry in moving:
             if not entry.held:
                 run.fallback("compose/check", f"{entry.name} has no stable support", entry.why)
-
-
-def _rgb(run: RunFolder) -> UInt8[np.ndarray, "row column 3"]:
-    return load_photo(run.path / PHOTO).rgb
-
-
-def _write_json(path: Path, data: object) -> None:
-    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

@@ -1,10 +1,8 @@
 """Further photographs of a run: read from the user's files, kept, and marked by a model."""
 
-import io
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from pydantic import Field
 
 from ..errors import EvidenceError
@@ -18,18 +16,16 @@ from ..evidence.lens import Lens
 from ..io import read_model
 from ..io.names import repeated
 from ..mllm.panel import run_coroutine
-from ..mllm.requests import digest
 from ..parse.further_boxes import boxes_of_photo
 from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
-from ..run_folder import RunFolder
 from ..spec import Box2D, SceneTree, Spec
-from .step_context import StepContext
+from .step_context import StepContext, write_files
 
 VIEWS = "views"
 """Folder of the further photographs in a run."""
 LISTED, BOXES = "views.json", "boxes.json"
-PART, BOXES_PART = "parse/views", "parse/boxes"
-"""Parts of the step `parse` that keep the photographs, and the boxes that a model marked."""
+BOXES_PART = "parse/boxes"
+"""Part of the step `parse` that keeps the boxes that a model marked."""
 
 
 class _Kept(Spec):
@@ -139,10 +135,12 @@ def _relative_pose(
     return np.linalg.inv(poses[1][0]) @ poses[0][0], poses[0][1] and poses[1][1]
 
 
-def keep_further(run: RunFolder, photos: tuple[FurtherPhoto, ...]) -> None:
-    """Write further photographs into the run folder."""
+def further_files(photos: tuple[FurtherPhoto, ...]) -> dict[str, bytes]:
+    """Return the contents of the files that keep further photographs, by path in a run folder."""
+    from ..render import to_png
+
     if not photos:
-        return
+        return {}
     kept = _KeptViews(
         views=tuple(
             _Kept(
@@ -156,24 +154,9 @@ def keep_further(run: RunFolder, photos: tuple[FurtherPhoto, ...]) -> None:
             for photo in photos
         )
     )
-    files = [_png(photo) for photo in photos]
-    digests = [digest(np.ascontiguousarray(photo.photo).tobytes()) for photo in photos]
-    inputs = {"views": kept, "photos": digests}
-    with run.step(PART, inputs) as out:
-        if out is None:
-            return
-        (out / VIEWS).mkdir()
-        (out / VIEWS / LISTED).write_text(kept.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        for number, data in enumerate(files, 1):
-            (out / VIEWS / f"{number}.png").write_bytes(data)
-        for photo in photos:
-            run.note(PART, "a further photograph", photo.phrase())
-
-
-def _png(photo: FurtherPhoto) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(np.asarray(photo.photo)).save(buffer, "PNG")
-    return buffer.getvalue()
+    pictures = {f"{VIEWS}/{k}.png": to_png(photo.photo) for k, photo in enumerate(photos, 1)}
+    listed = kept.model_dump_json(indent=1) + "\n"
+    return {f"{VIEWS}/{LISTED}": listed.encode(), **pictures}
 
 
 def kept_further(folder: Path, *, marked: bool = False) -> tuple[FurtherPhoto, ...]:
@@ -235,6 +218,5 @@ def mark_objects(context: StepContext, tree: SceneTree) -> None:
             )
             for skipped, reason in fallbacks:
                 run.fallback(BOXES_PART, f"{view.source} is not used: {skipped}", reason)
-        (out / VIEWS).mkdir()
         text = _KeptBoxes(boxes=boxes).model_dump_json(indent=1) + "\n"
-        (out / VIEWS / BOXES).write_text(text, encoding="utf-8")
+        write_files(out, {f"{VIEWS}/{BOXES}": text})

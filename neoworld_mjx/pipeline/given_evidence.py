@@ -4,6 +4,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..config import Config
 from ..errors import ConfigError, EvidenceError, SpecError
 from ..evidence.consistency import check_evidence
 from ..evidence.depth_files import check_aspect
@@ -11,13 +12,14 @@ from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, evidence_of, read_stated, undistorted
 from ..evidence.exif import exif_camera
 from ..evidence.known_objects import KnownObjects
-from ..evidence.stored import evidence_digest, evidence_files, evidence_lines, read_stored
+from ..evidence.stored import evidence_files, evidence_lines, read_stored
 from ..io import read_model
-from ..parse.photo import Photo, load_photo
+from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
 from ..run_folder import RunFolder
 from ..run_folder.staging import refuse_links
-from ..spec import ObjectSpec
-from .further_photos import VIEWS, keep_further, kept_further, read_further
+from ..spec import ObjectSpec, SceneTree
+from .further_photos import VIEWS, further_files, kept_further, read_further
+from .step_context import GIVEN, PHOTO, write_files
 
 FOLDER = "evidence"
 """Folder of the evidence in a run."""
@@ -25,8 +27,6 @@ PART = "parse/evidence"
 """Part of the step `parse` that keeps the evidence."""
 KNOWN = "known.json"
 """File of the known objects in a run."""
-OBJECTS_PART = "parse/known"
-"""Part of the step `parse` that keeps the known objects."""
 EXPECTED_UNIT = "Write the file in meters, or give the object's size under sizes in --evidence"
 """Remedy for an asset of unusual size."""
 UNLIKE = 1.2
@@ -42,19 +42,6 @@ class RunEvidence:
     evidence: Evidence
     refused: tuple[str, ...] = ()
     """Evidence that is not used, each with the reason."""
-
-    @property
-    def of_photo(self) -> Evidence | None:
-        """Evidence about the photograph alone; None if there is none."""
-        e = self.evidence
-        nothing = e.camera is None and e.depth is None and e.masks is None
-        return None if nothing else replace(e, objects=KnownObjects(), further=())
-
-    @property
-    def empty(self) -> bool:
-        """True if nothing is known."""
-        others = self.evidence.objects.names or self.evidence.further
-        return self.of_photo is None and not others
 
 
 def read_evidence(file: Path | str, photo: Path | str) -> Evidence:
@@ -174,48 +161,57 @@ def _with_exif(evidence: Evidence, photo: Photo) -> RunEvidence:
     return RunEvidence(replace(evidence, camera=exif))
 
 
-def undistorted_photo(photo: Photo, evidence: Evidence) -> Photo:
-    """Return the photograph without the distortion of its lens."""
-    if evidence.lens is None or evidence.camera is None:
-        return photo
-    rgb = undistorted(Evidence(photo=photo.rgb, lens=evidence.lens)).photo
+def known_photo(
+    file: Path, config: Config, given: Given | None = None, folder: Path | None = None
+) -> tuple[Photo, RunEvidence]:
+    """Read a photograph, without the distortion of its lens, and the evidence about it.
+
+    Args:
+        file: the image file.
+        config: all options.
+        given: as for `evidence_of_run`.
+        folder: as for `evidence_of_run`.
+
+    Raises:
+        PhotoError: the photograph cannot be read.
+        EvidenceError, RunError: as for `evidence_of_run`.
+    """
+    photo = load_photo(file, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
+    known = evidence_of_run(photo, given, folder)
+    lens, camera = known.evidence.lens, known.evidence.camera
+    if lens is None or camera is None:
+        return photo, known
+    rgb = undistorted(Evidence(photo=photo.rgb, lens=lens)).photo
     assert rgb is not None
     rgb.flags.writeable = False
-    return replace(photo, rgb=rgb, original_size=evidence.camera.size)
+    return replace(photo, rgb=rgb, original_size=camera.size), known
 
 
 def keep_evidence(run: RunFolder, given: RunEvidence) -> None:
     """Write the evidence into the run folder, and record what is used and what is refused."""
-    evidence = given.evidence
-    run.record("evidence", used=evidence_lines(evidence), refused=list(given.refused))
-    _keep_objects(run, evidence.objects)
-    keep_further(run, evidence.further)
-    if given.of_photo is None and not given.refused:
+    lines = evidence_lines(given.evidence)
+    run.record("evidence", used=lines, refused=list(given.refused))
+    files = _files(given.evidence)
+    if not files and not given.refused:
         return
-    inputs = {"files": evidence_digest(evidence), "refused": list(given.refused)}
-    with run.step(PART, inputs) as out:
+    with run.step(PART, {"refused": list(given.refused), **files}) as out:
         if out is None:
             return
-        if given.of_photo is not None:
-            (out / FOLDER).mkdir()
-            for name, data in evidence_files(evidence).items():
-                (out / FOLDER / name).write_bytes(data)
-            for kind, line in evidence_lines(given.of_photo).items():
-                run.note(PART, f"known: {kind}", line)
+        write_files(out, files)
+        for kind, line in lines.items():
+            run.note(PART, f"known: {kind}", line)
         for reason in given.refused:
             run.note(PART, "evidence is not used", reason)
 
 
-def _keep_objects(run: RunFolder, objects: KnownObjects) -> None:
-    """Write what is known of single objects into the run folder."""
-    if not objects.names:
-        return
-    with run.step(OBJECTS_PART, {"objects": objects}) as out:
-        if out is None:
-            return
-        (out / KNOWN).write_text(objects.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        for kind, line in objects.lines().items():
-            run.note(OBJECTS_PART, f"known: {kind}", line)
+def _files(evidence: Evidence) -> dict[str, bytes]:
+    """Return the contents of the files that keep evidence, by path in the run folder."""
+    files: dict[str, bytes] = {}
+    if not (evidence.camera is None and evidence.depth is None and evidence.masks is None):
+        files |= {f"{FOLDER}/{name}": data for name, data in evidence_files(evidence).items()}
+    if evidence.objects.names:
+        files[KNOWN] = (evidence.objects.model_dump_json(indent=1) + "\n").encode()
+    return files | further_files(evidence.further)
 
 
 def kept_inputs(run: RunFolder) -> dict[str, object]:
@@ -236,6 +232,23 @@ def parse_inputs(inputs: dict[str, object]) -> dict[str, object]:
 def kept_evidence(run: RunFolder) -> Evidence:
     """Return the evidence in a run folder, undistorted like the run's photograph."""
     return replace(undistorted(_kept(run.path)), further=kept_further(run.path, marked=True))
+
+
+def evidence_of_tree(run: RunFolder, tree: SceneTree) -> tuple[Evidence, tuple[str, ...]]:
+    """Return the evidence of a run with its photograph, and masks assigned to a tree's objects.
+
+    Returns:
+        The evidence, and a note for each mask that belongs to no object.
+    """
+    from ..evidence.mask_files import matched_to
+
+    kept, photo = kept_evidence(run), run.path / PHOTO
+    masks, notes = kept.masks, ()
+    if masks is not None:
+        masks, notes = matched_to(masks, tree)
+    rgb = load_photo(photo).rgb if photo.is_file() else None
+    boxes = not (run.path / GIVEN).is_file()  # Boxes of a rescue are no evidence.
+    return replace(kept, photo=rgb, masks=masks, boxes=boxes), notes
 
 
 def _kept(folder: Path) -> Evidence:

@@ -3,7 +3,6 @@
 import asyncio
 import json
 from collections.abc import Coroutine, Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..compose.resting_pose import on_level, pose_without_scene
@@ -19,6 +18,9 @@ from ..verify.patch import write_patch
 from ..verify.verification import VerificationResult, verify_object
 from .edited_files import build_edited, note_edited_program, program_edited
 from .step_context import (
+    PARSED,
+    PARSED_PICTURE,
+    PHOTO,
     PROGRAM,
     RESPONSE_TREE,
     ROUNDS,
@@ -26,9 +28,11 @@ from .step_context import (
     TREE,
     StepContext,
     object_file,
+    object_files,
     read_allowances,
     read_spec,
     read_tree,
+    write_files,
 )
 
 if TYPE_CHECKING:
@@ -74,13 +78,14 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
         )
         if known.depth is not None:
             check_distances(known.depth, parsed.response_tree)
-        (out / TREE).write_text(parsed.tree.to_json(), encoding="utf-8")
-        (out / RESPONSE_TREE).parent.mkdir(parents=True)
-        (out / RESPONSE_TREE).write_text(parsed.response_tree.to_json(), encoding="utf-8")
-        (out / "photo.png").write_bytes(to_png(photo.rgb))
-        (out / "pictures").mkdir()
-        (out / "pictures" / "parse.png").write_bytes(parsed.picture)
-        (out / "parse.json").write_text(parsed.to_json(), encoding="utf-8")
+        files: dict[str, str | bytes] = {
+            TREE: parsed.tree.to_json(),
+            RESPONSE_TREE: parsed.response_tree.to_json(),
+            PHOTO: to_png(photo.rgb),
+            PARSED_PICTURE: parsed.picture,
+            PARSED: parsed.to_json(),
+        }
+        write_files(out, files)
         for skipped, reason in parsed.fallbacks:
             run.fallback("parse", skipped, reason)
         for outcome, reason in () if parsed.fit is None else parsed.fit.notes():
@@ -126,7 +131,7 @@ def program_objects(context: StepContext) -> None:
             raise ProgramError(f"object {node.name}: {result.reason}")
         with run.step(name, inputs[node.name]) as out:
             assert out is not None
-            write_object_files(out, node.name, result.files())
+            write_files(out, object_files(node.name, result.files()))
             for skipped, reason in result.fallbacks:
                 run.fallback(name, skipped, reason)
             if colour is not None and colour.source in ("answer", "material"):
@@ -138,8 +143,7 @@ def program_objects(context: StepContext) -> None:
                 reason = "{} m by the parse, {} m by the models".format(*sizes)
                 run.note(name, f"{node.name} has a corrected size", reason)
 
-    with run.concurrent("program"):
-        run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
+    run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
     _correct_sizes(run, tree)
 
 
@@ -176,16 +180,8 @@ def write_asset(
         if out is None:
             return
         rounds = json.dumps({"signals": [], "allowances": [], "rounds": []}, indent=1) + "\n"
-        write_object_files(out, name, {SPEC: spec.to_json(), ROUNDS: rounds})
+        write_files(out, object_files(name, {SPEC: spec.to_json(), ROUNDS: rounds}))
         run.note(step, f"{name} is the given asset", "no model wrote a program for it")
-
-
-def write_object_files(out: Path, name: str, files: Mapping[str, str]) -> None:
-    """Write files of an object into the staging folder of a step, by file name."""
-    folder = out / "objects" / name
-    folder.mkdir(parents=True)
-    for file, content in files.items():
-        (folder / file).write_text(content, encoding="utf-8")
 
 
 def _correct_sizes(run: RunFolder, tree: SceneTree) -> None:
@@ -202,7 +198,7 @@ def _correct_sizes(run: RunFolder, tree: SceneTree) -> None:
             raise SpecError(f"{path} contains no valid size: {error}") from None
     with run.step("program", {"tree": tree, "sizes": sizes}) as out:
         if out is not None and sizes:
-            (out / TREE).write_text(tree.with_sizes(sizes).to_json(), encoding="utf-8")
+            write_files(out, {TREE: tree.with_sizes(sizes).to_json()})
 
 
 def verify_objects(context: StepContext) -> None:
@@ -266,13 +262,12 @@ def verify_objects(context: StepContext) -> None:
             if built is not None:
                 files.setdefault(SPEC, spec.to_json())
                 note_edited_program(run, node.name, built)
-            write_object_files(out, node.name, files)
+            write_files(out, object_files(node.name, files))
             if not result.patch.empty:
                 write_patch(out / object_file(node.name, PROGRAM), result.patch)
             _record_verification(run, node.name, result)
 
-    with run.concurrent("verify"):
-        run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
+    run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
 
 
 def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:

@@ -15,14 +15,14 @@ from ..errors import ConfigError, RunError
 from ..io import bounded_by
 from ..mllm import Panel, open_panel
 from ..names import Step
-from ..parse.photo import MODEL_MIN_SIDE_PX, Photo, load_photo
+from ..parse.photo import Photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
 from ..spec import read_scene
 from .compose_step import compose_scene
-from .given_evidence import Given, evidence_of_run, keep_evidence, kept_inputs, undistorted_photo
+from .given_evidence import Given, keep_evidence, kept_inputs, known_photo
 from .object_steps import parse_photo, program_objects, verify_objects
 from .scene_steps import export_files, refine_layout, write_metrics
-from .step_context import COMPOSED, TAPE, TREE, Pictures, StepContext, read_tree
+from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {
     "parse": parse_photo,
@@ -83,18 +83,10 @@ def reconstruct(
             "which repeats the steps that it changes"
         )
     with bounded_by(config.files):
-        picture = load_photo(photo, config.parse.max_side_px, MODEL_MIN_SIDE_PX)
         continues = mode in ("resume", "redo")
-        known = evidence_of_run(picture, evidence, out if continues else None)
-        picture = undistorted_photo(picture, known.evidence)
+        picture, known = known_photo(photo, config, evidence, out if continues else None)
         open_models = partial(
-            open_panel,
-            config.mllm,
-            config.provider,
-            photo=picture.sha256,
-            tapes=tapes,
-            mailbox=mailbox or out / "mailbox",
-            made=f"recorded from provider {config.provider}",
+            _open_models, config, out, picture.sha256, tapes=tapes, mailbox=mailbox
         )
         if config.program.language == "blender" and until != "parse":
             from ..program.blender.blender_process import require_blender
@@ -136,11 +128,11 @@ def run_steps(
         first: first step.
         until: last step; if None, run all later steps.
     """
-    with recorded_costs(run, models), Pictures(run, config.render) as pictures:
-        context = StepContext(run, config, photo, models, pictures, kept_inputs(run))
+    with recorded_costs(run, models):
+        context = StepContext(run, config, photo, models, kept_inputs(run))
         for step in STEPS[STEPS.index(first) :]:
-            STEP_FUNCTIONS[step](context)
-            pictures.store()
+            with run.timed(step):
+                STEP_FUNCTIONS[step](context)
             if step == until:
                 break
 
@@ -194,17 +186,31 @@ def refine_again(
     with bounded_by(config.files):
         models = None
         if config.refine.semantic.scorer == "mllm":
-            models = open_panel(
-                config.mllm,
-                config.provider,
-                photo=earlier["photo"].get("sha256"),
-                mailbox=folder / "mailbox",
-                record=folder / TAPE,
-                made=f"recorded from provider {config.provider}",
-            )
+            sha256 = earlier["photo"].get("sha256")
+            models = _open_models(config, folder, sha256, record=folder / TAPE)
         with RunFolder(folder, config, "redo", step="refine") as run:
             run_steps(run, config, models, first="refine")
             return finish(run, None)
+
+
+def _open_models(
+    config: Config,
+    folder: Path,
+    photo: str | None,
+    *,
+    record: Path | None = None,
+    tapes: tuple[Path, ...] = (),
+    mailbox: Path | None = None,
+) -> Panel:
+    return open_panel(
+        config.mllm,
+        config.provider,
+        photo=photo,
+        tapes=tapes,
+        mailbox=mailbox or folder / "mailbox",
+        record=record,
+        made=f"recorded from provider {config.provider}",
+    )
 
 
 def earlier_options(folder: Path, over: dict[str, Any]) -> Config:
@@ -246,7 +252,7 @@ def refuse_code(config: Config, source: str) -> None:
 def _object_names(run: RunFolder) -> list[str]:
     if (run.path / TREE).is_file():
         return [node.name for node in read_tree(run).nodes]
-    return [item.name for item in read_scene(run.path / COMPOSED).objects]  # A rescue has no tree.
+    return [item.name for item in read_scene(run.path / COMPOSED).objects]
 
 
 def _path(value: object, name: str) -> Path:

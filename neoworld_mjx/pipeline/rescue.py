@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..config import Config
-from ..engines import EngineChoice
 from ..errors import EvidenceError, PhotoError, RunError
 from ..evidence.evidence import Evidence
 from ..evidence.evidence_file import StatedEvidence, evidence_of, stated_camera, undistorted
@@ -21,19 +20,15 @@ from ..evidence.known_objects import KnownObjects
 from ..export.importing import ImportedScene, import_file
 from ..export.read_mesh_scene import CAMERA_HELP, Viewpoint, viewpoint
 from ..io import bounded_by
-from ..measure import object_moves
 from ..parse.photo import load_photo
-from ..physics.engine import Engine
 from ..render import to_png
 from ..run_folder import Result, RunFolder
-from ..spec import SceneObject, SceneSpec
 from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
 from .input_doubts import doubt_solids, doubt_unit, scaled_scene
 from .mesh_tree import MeshTree, mesh_tree
-from .place import LayoutEstimate, RefinedPlacement, place, refine_placed
 from .reconstruction import finish, run_steps
-from .step_context import GIVEN, PHOTO, TREE
+from .step_context import GIVEN, PHOTO, SPEC, TREE, object_file, write_files
 
 
 @dataclass(frozen=True)
@@ -43,71 +38,6 @@ class Photographed:
     rgb: UInt8[np.ndarray, "row column 3"] = field(repr=False)
     """Colors (sRGB), undistorted to the image of the camera."""
     view: Viewpoint
-
-
-@dataclass(frozen=True)
-class Rescued:
-    """A rescued scene, and how it came about."""
-
-    given: SceneSpec
-    """The objects at their given poses, with fixed supports. With a photograph, the whole scene is
-    moved so that its camera is above the origin and looks along +x."""
-    placed: LayoutEstimate
-    refined: RefinedPlacement
-    notes: tuple[str, ...]
-
-    @property
-    def scene(self) -> SceneSpec:
-        """The rescued scene."""
-        return self.refined.scene
-
-    @property
-    def passed(self) -> bool:
-        """True if the scene passes the final check."""
-        return self.refined.refined.passed
-
-    @property
-    def moves_m(self) -> dict[str, float]:
-        """Distance of each free object from its given position [m]."""
-        moves = object_moves(self.given, self.scene)
-        return {item.name: moves[item.name].distance_m for item in _free(self.scene)}
-
-
-def rescue(
-    given: SceneSpec | ImportedScene,
-    config: Config | None = None,
-    *,
-    engine: Engine | EngineChoice | None = None,
-    photo: Photographed | None = None,
-) -> Rescued:
-    """Put the objects of a scene onto their supports, align them, and refine the layout.
-
-    Shapes are not corrected. With a photograph, positions, headings and sizes are aligned with its
-    contours at the given camera. Otherwise only contacts and the search change the given poses.
-
-    Args:
-        given: objects at their poses without parents, as read by `import_file`.
-        config: options, of which those of composition, alignment and search are used.
-        engine: physics engine, or its name; by default, the engine that the options name.
-        photo: the photograph and its camera, from `photographed`.
-
-    Raises:
-        SpecError: no object is free to move, or the scene already states parents.
-    """
-    imported = given if isinstance(given, ImportedScene) else ImportedScene(given, ())
-    c, meshes = _config(config or Config(), photo), _meshes(imported, photo)
-    evidence = Evidence(None if photo is None else photo.rgb, boxes=False)
-    placed = place(meshes.tree, meshes.objects, evidence, c.compose, name=imported.spec.name)
-    refined = refine_placed(
-        placed.scene,
-        c.refine,
-        seed=c.seed,
-        engine=engine,
-        photo=evidence.photo,
-        again=c.compose.align,
-    )
-    notes = (*imported.notes, *meshes.notes, *placed.composed.notes, *placed.notes)
-    return Rescued(meshes.given, placed, refined, notes)
 
 
 def rescue_file(
@@ -163,7 +93,7 @@ def rescue_file(
             camera, _ = stated_camera(given, photo.name)
             picture = photographed(photo, imported.camera, camera, c.parse.max_side_px)
             known = _known(given, photo, picture, c.parse.max_side_px)
-        meshes, c = _meshes(imported, picture), _config(c, picture)
+        meshes, c = posed_tree(imported, picture), as_given(c, photo=picture is not None)
         known.objects.check_names(meshes.tree)
         notes = [*imported.notes, *meshes.notes]
         if picture is not None and camera is None:
@@ -221,16 +151,22 @@ def _known(given: StatedEvidence, photo: Path, picture: Photographed, max_side: 
     return replace(known, camera=exact, lens=picture.view.lens)
 
 
-def _meshes(imported: ImportedScene, photo: Photographed | None) -> MeshTree:
+def posed_tree(imported: ImportedScene, photo: Photographed | None = None) -> MeshTree:
+    """Return the tree of a scene; with a photograph, its camera is above the origin."""
     if photo is None:
         return mesh_tree(imported.spec)
     given = transformed_scene(imported.spec, photo.view.scene_transform)
     return mesh_tree(given, photo.view.camera)
 
 
-def _config(config: Config, photo: Photographed | None) -> Config:
-    """Return options with which Steps 4 and 5 keep what is given: colors, and the camera."""
-    align = {"camera": False, "enabled": config.compose.align.enabled and photo is not None}
+def as_given(config: Config, *, photo: bool) -> Config:
+    """Return options with which Steps 4 and 5 keep what is given: colors, and the camera.
+
+    Args:
+        config: the options.
+        photo: True if there is a photograph, with which the scene can be aligned.
+    """
+    align = {"camera": False, "enabled": config.compose.align.enabled and photo}
     compose = {"looks": False, "align": config.compose.align.model_copy(update=align)}
     return config.model_copy(update={"compose": config.compose.model_copy(update=compose)})
 
@@ -250,15 +186,8 @@ def _write_given(
         given = scene_in_frame(given, frame)
     with run.step("parse", {"file": file}) as out:
         assert out is not None  # The folder is new.
-        (out / TREE).write_text(meshes.tree.to_json(), encoding="utf-8")
-        (out / GIVEN).write_text(given.to_json(), encoding="utf-8")
+        write_files(out, {TREE: meshes.tree.to_json(), GIVEN: given.to_json()})
         if photo is not None:
-            (out / PHOTO).write_bytes(to_png(photo.rgb))
+            write_files(out, {PHOTO: to_png(photo.rgb)})
         for name, spec in meshes.objects.items():
-            folder = out / "objects" / name
-            folder.mkdir(parents=True)
-            (folder / "spec.json").write_text(spec.to_json(), encoding="utf-8")
-
-
-def _free(scene: SceneSpec) -> list[SceneObject]:
-    return [item for item in scene.objects if not item.static]
+            write_files(out, {object_file(name, SPEC): spec.to_json()})

@@ -1,16 +1,13 @@
 """Step 5 of a run and the export: refine the layout, and write the scene's files."""
 
-import json
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import progress
 from ..errors import RunError
 from ..io import read_object
 from ..parse.photo import load_photo
+from ..progress import report
 from ..run_folder import RunFolder
 from ..spec import read_scene
 from .step_context import (
@@ -23,10 +20,8 @@ from .step_context import (
     TREE,
     StepContext,
     read_tree,
+    write_files,
 )
-
-if TYPE_CHECKING:
-    from ..evidence.evidence import Evidence
 
 
 def refine_layout(context: StepContext) -> None:
@@ -35,7 +30,7 @@ def refine_layout(context: StepContext) -> None:
     from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
     from ..estimate.tree_checks import agreement
     from ..measure import box_iou, object_moves, scene_checks
-    from .given_evidence import kept_inputs
+    from .given_evidence import evidence_of_tree, kept_inputs
     from .place import refine_placed
 
     run, config = context.run, context.config
@@ -50,10 +45,6 @@ def refine_layout(context: StepContext) -> None:
     if aligns_again:
         inputs |= {"photo": run.path / PHOTO, "align": align, **kept_inputs(run)}
 
-    def report(line: str) -> None:
-        progress.report(f"  {line}")
-        context.pictures.store()
-
     with run.step("refine", inputs) as out:
         if out is None:
             return
@@ -66,10 +57,10 @@ def refine_layout(context: StepContext) -> None:
             seed=config.seed,
             photo=photo,
             again=align if aligns_again else None,
-            evidence=_evidence(run) if aligns_again else None,
+            evidence=evidence_of_tree(run, read_tree(run))[0] if aligns_again else None,
             keep=read_layout_patch(run.path).objects,
             panel=context.models,
-            progress=report,
+            progress=lambda line: report(f"  {line}"),
         )
         refined, final, scene = placed.refined, placed.final, placed.scene
         np.savez_compressed(out / "refine" / "history.npz", allow_pickle=False, **refined.history)
@@ -78,7 +69,6 @@ def refine_layout(context: StepContext) -> None:
         if final is not None and final.measure is not None:
             why = "settling or the search had moved it away from its contour in the photograph"
             run.note("refine", f"aligned again: {', '.join(final.aligned)}", why)
-        (out / SCENE).write_text(scene.to_json(), encoding="utf-8")
         moves = object_moves(composed, scene)
         checks = scene_checks(placed.measure, config.refine)
         summary = {
@@ -107,7 +97,7 @@ def refine_layout(context: StepContext) -> None:
             objects = [node for node in tree.nodes if not node.environment]
             parsed = {node.name: agreement(tree, node) for node in objects}
             summary["box_iou"] = box_iou(parsed, composed, scene)
-        (out / RESULT).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        write_files(out, {SCENE: scene.to_json(), RESULT: summary})
         run.record("refine", seconds=placed.seconds)
         for note in refined.fallbacks:
             outcome, _, reason = note.partition(": ")
@@ -122,19 +112,6 @@ def refine_layout(context: StepContext) -> None:
                 )
 
 
-def _evidence(run: RunFolder) -> "Evidence":
-    """Return the evidence of a run, with masks assigned to the objects of the tree."""
-    from ..evidence.mask_files import matched_to
-    from .given_evidence import kept_evidence
-
-    kept = kept_evidence(run)
-    if not (run.path / TREE).is_file():
-        return kept
-    tree = read_tree(run)
-    masks = None if kept.masks is None else matched_to(kept.masks, tree)[0]
-    return replace(kept, masks=masks)
-
-
 def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else 0.0
 
@@ -144,7 +121,7 @@ def export_files(context: StepContext) -> None:
     from ..export import export_scene
 
     run = context.run
-    context.pictures.begin("export/picture", run.path / SCENE, "pictures/after.png")
+    context.draw("export/picture", SCENE, "pictures/after.png")
     with run.step("export", {"scene": run.path / SCENE}) as out:
         if out is None:
             return

@@ -8,16 +8,13 @@ of the photograph, the options and the models' responses.
 """
 
 import contextlib
-import errno
 import json
 import logging
-import os
 import shutil
-import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from ..config import Config
 from ..errors import NeoWorldError, RunError, choices
@@ -52,21 +49,11 @@ Mode = Literal["new", "resume", "redo", "overwrite"]
 """Treatment of an earlier run in the folder, see `RunFolder`."""
 RUN_LOG = "run.log"
 PACKAGE = "neoworld_mjx"
-_LOG_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 WAITED_S = 0.5
 """Least time of waiting for models that a progress message mentions [s]."""
 
 
-class Moment(NamedTuple):
-    """Elapsed and waiting time at a moment of a run."""
-
-    clock: float
-    """`time.perf_counter()` [s]."""
-    waited: float
-    """Time that the run has spent waiting for models so far [s]."""
-
-
-class RunLog(logging.Handler):
+class RunLog(logging.FileHandler):
     """Log handler that appends the package's log to run.log until it is closed.
 
     The level of the package's logger applies. On the command line, the log contains progress and
@@ -78,40 +65,29 @@ class RunLog(logging.Handler):
         """Open the log of a run folder.
 
         Raises:
-            OSError: the log cannot be opened, or is a link.
+            OSError: the log cannot be opened.
         """
-        super().__init__(logging.INFO)
+        super().__init__(folder / RUN_LOG, encoding="utf-8", errors="replace")
+        self.setLevel(logging.INFO)
         self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        self._descriptor: int | None = os.open(folder / RUN_LOG, _LOG_FLAGS, 0o666)
-        status = os.fstat(self._descriptor)
-        if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
-            self.close()
-            raise OSError(
-                errno.EMLINK, "run.log is not a regular file of this folder", str(folder / RUN_LOG)
-            )
         logging.getLogger(PACKAGE).addHandler(self)
 
     def note(self, level: int, text: str) -> None:
         """Append a line to run.log only, not to other handlers of the log."""
         self.handle(logging.LogRecord(PACKAGE, level, "", 0, text, None, None))
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Append a record as one line."""
-        if self._descriptor is None or record.levelno < self.level:
-            return
-        line = printable(self.format(record).replace("\n", " | ")) + "\n"
-        try:
-            os.write(self._descriptor, line.encode("utf-8", "replace"))
-        except OSError:
-            return
+    def format(self, record: logging.LogRecord) -> str:
+        """Return a record as one line."""
+        return printable(super().format(record).replace("\n", " | "))
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Continue without a record that cannot be written."""
 
     def close(self) -> None:
         """Close the log."""
         logging.getLogger(PACKAGE).removeHandler(self)
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
-        super().close()
+        with contextlib.suppress(OSError):
+            super().close()
 
 
 class RunFolder:
@@ -150,8 +126,6 @@ class RunFolder:
         self.path = Path(path)
         self.waited = lambda: 0.0
         self._visited: set[str] = set()
-        self._concurrent: Step | None = None
-        """Step whose parts run at once."""
         self._kept: tuple[str, ...] = ()
         """Steps that are kept even if their files were edited by hand."""
         if mode == "redo":
@@ -206,27 +180,28 @@ class RunFolder:
         return self._is_reusable(name, self._hashes(name, inputs))
 
     @contextlib.contextmanager
-    def concurrent(self, step: Step) -> Iterator[None]:
-        """Time the parts of a step that run at once: `with run.concurrent(...): ...`.
-
-        Times of such parts overlap, so run.json has one time for all of them, under `concurrent`.
-        """
-        before, began = self.data["steps"].copy(), self.now()
-        self._concurrent = step
+    def timed(self, step: Step) -> Iterator[None]:
+        """Record the wall time of a step, unless all of its parts are kept."""
+        before, began = self.data["steps"].copy(), time.perf_counter()
+        waited = self.waited()
         try:
             yield
         finally:
-            self._concurrent = None
             entries = self.data["steps"].items()
             if any(step_of(name) == step and before.get(name) is not e for name, e in entries):
-                times = self._since(began)
-                self.data.setdefault("concurrent", {})[step] = times
+                # If the clock is set back, negative times would make run.json invalid.
+                seconds = max(time.perf_counter() - began, 0.0)
+                waiting = max(self.waited() - waited, 0.0)
+                times = {"seconds": round(seconds, 3), "waiting_s": round(waiting, 3)}
+                self.data["times"][step] = times
                 self.save()
-                report(_done(step, times), **_status(step, step))
+                waits = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
+                computing = max(seconds - waiting, 0.0)
+                report(f"{step}: done in {computing:.1f} s{waits}", step=step)
 
     def begin(self, name: str) -> None:
-        """Report that the work for a part of a concurrent step begins."""
-        report(f"{name}: started", **_status(name, name))
+        """Report that the work for a part of a step begins."""
+        report(f"{name}: started", step=name)
 
     @contextlib.contextmanager
     def step(self, name: str, inputs: Mapping[str, object]) -> Iterator[Path | None]:
@@ -252,14 +227,11 @@ class RunFolder:
         if self._is_reusable(name, hashes):
             yield None
             return
-        began, concurrent = self.now(), step_of(name) == self._concurrent
         old_outputs = self._forget(name)
         staged = self.path / STAGING / name.replace("/", ".")
         with disk_errors(self.path):
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
-            if not concurrent:
-                self.begin(name)
             yield staged
             names = [
                 path.relative_to(staged).as_posix() for path in staged.rglob("*") if path.is_file()
@@ -275,10 +247,10 @@ class RunFolder:
             obsolete = set(old_outputs) - set(outputs)
             delete_files(self.path, obsolete)
             self._restore(obsolete)
-        times = {} if concurrent else self._since(began)
-        self.data["steps"][name] = {**times, "inputs": hashes, "outputs": outputs}
+        self.data["steps"][name] = {"inputs": hashes, "outputs": outputs}
         self.save()
-        report(_done(name, times), **_status(name, step_of(name)))
+        if name != step_of(name):
+            report(f"{name}: done", step=step_of(name))
 
     def before(self, step: Step, name: str) -> Path:
         """Return the path of the version of a file that the steps before `step` left.
@@ -309,16 +281,6 @@ class RunFolder:
     def record(self, section: str, **values: Any) -> None:
         """Update a section of run.json, such as "metrics"."""
         self.data.setdefault(section, {}).update(strict_json(values))
-
-    def now(self) -> Moment:
-        """Return the current moment."""
-        return Moment(time.perf_counter(), self.waited())
-
-    def _since(self, began: Moment) -> dict[str, float]:
-        """Return the time and the time of waiting since a moment [s], as in run.json."""
-        # If the clock is set back, negative times would make run.json invalid.
-        seconds, waiting = (max(b - a, 0.0) for a, b in zip(began, self.now(), strict=True))
-        return {"seconds": round(seconds, 3), "waiting_s": round(waiting, 3)}
 
     def finish(self, until: str | None = None) -> None:
         """Mark the run as finished, or as stopped after step `until`.
@@ -384,7 +346,7 @@ class RunFolder:
             entry["inputs"] = hashes
         elif entry["inputs"] != hashes or self._edited(entry):
             return False
-        report(f"{name}: kept", **_status(name, step_of(name)))
+        report(f"{name}: kept", step=step_of(name))
         return True
 
     def edited_by_hand(self, name: str) -> tuple[str, ...]:
@@ -457,16 +419,3 @@ class RunFolder:
             ) from None
         except OSError as error:
             raise RunError(f"step {name} cannot read {error.filename}: {error.strerror}") from None
-
-
-def _done(name: str, times: Mapping[str, float]) -> str:
-    if not times:
-        return f"{name}: done"
-    waiting = times["waiting_s"]
-    waited = f" and {waiting:.1f} s of waiting for models" if waiting >= WAITED_S else ""
-    return f"{name}: done in {max(times['seconds'] - waiting, 0.0):.1f} s{waited}"
-
-
-def _status(name: str, step: str) -> dict[str, str]:
-    """Return the step for the status line; empty for pictures, which a thread renders."""
-    return {} if name.endswith("/picture") else {"step": step}

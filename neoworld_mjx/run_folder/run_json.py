@@ -45,8 +45,6 @@ _Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class _Step(BaseModel):
-    seconds: _Seconds = 0.0
-    waiting_s: _Seconds = 0.0
     inputs: dict[str, str]
     outputs: dict[_InsidePath, str]
     edited: list[_InsidePath] = []
@@ -104,7 +102,7 @@ class _Record(BaseModel):
     started: str = ""
     fingerprint: str = ""
     steps: Annotated[dict[str, _Step], Field(max_length=MAX_STEPS), AfterValidator(_check_outputs)]
-    concurrent: dict[Step, _Times] = {}
+    times: dict[Step, _Times] = {}
     fallbacks: _Entries
     notes: _Entries = []
     config: dict[str, Any] = {}
@@ -145,24 +143,16 @@ def read_run(path: Path) -> dict[str, Any]:
 
 
 def step_times(run: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the duration and the time of waiting for models of each step [s].
+    """Return the wall time and the time of waiting for models of each step [s].
 
-    They are those of the step's last execution, summed over parts that ran one after another.
+    They are those of the step's last execution.
 
     Args:
         run: the data of run.json.
     """
-    total: dict[str, tuple[float, float]] = {}
-    for name, entry in run["steps"].items():
-        step = step_of(name)
-        seconds, waiting = total.get(step) or _pair(run.get("concurrent", {}).get(step, {}))
-        more = _pair(entry)
-        total[step] = (round(seconds + more[0], 3), round(waiting + more[1], 3))
-    return total
-
-
-def _pair(times: Mapping[str, Any]) -> tuple[float, float]:
-    return times.get("seconds", 0.0), times.get("waiting_s", 0.0)
+    done = set(map(step_of, run["steps"]))
+    times = run.get("times", {}).items()
+    return {step: (t["seconds"], t["waiting_s"]) for step, t in times if step in done}
 
 
 MAX_STEPS_OF_SEARCH = 20_000_000
@@ -225,8 +215,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "device": {"machine": platform.machine(), "cores": os.cpu_count()},
         "metrics": {},
         **{
-            key: earlier.get(key, {})
-            for key in ("mllm", "supports", "fallbacks", "steps", "concurrent")
+            key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps", "times")
         },
         **({"evidence": earlier["evidence"]} if "evidence" in earlier else {}),
         "notes": earlier.get("notes", []),

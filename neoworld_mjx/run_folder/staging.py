@@ -11,7 +11,6 @@ import fcntl
 import os
 import re
 import shutil
-import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
@@ -22,8 +21,6 @@ from ..io.files import (
     content_hash,
     disk_full,
     irregular_entry,
-    open_parent,
-    stays_inside,
     sync_folder,
     write_inside,
 )
@@ -109,21 +106,17 @@ def refuse_links(folder: Path) -> None:
 
 
 def lock_folder(folder: Path) -> TextIO:
-    """Lock a folder until the returned file is closed.
+    """Lock a folder without links until the returned file is closed.
 
     Raises:
         RunError: another process holds the lock.
-        OSError: the lock file cannot be written, or is not a regular file.
+        OSError: the lock file cannot be written.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    handle = os.fdopen(os.open(folder / LOCK, flags, 0o666), "r+")
-    status = os.fstat(handle.fileno())
-    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
-        handle.close()
-        raise OSError(errno.EINVAL, "it is not a regular file; remove it", str(folder / LOCK))
+    handle = (folder / LOCK).open("a+", encoding="utf-8")
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
+        handle.seek(0)
         owner = handle.read(20).strip() or "unknown"
         handle.close()
         raise RunError(
@@ -156,8 +149,8 @@ def move_in(staged: Path, folder: Path) -> dict[str, str]:
             os.fsync(handle.fileno())
         hashes[path.relative_to(staged).as_posix()] = content_hash(path)
     for name in hashes:
-        with open_parent(folder, name, create=True) as (parent, last):
-            os.replace(staged / name, last, dst_dir_fd=parent)
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged / name, folder / name)
     for parent in sorted({(folder / name).parent for name in hashes}):
         sync_folder(parent)
     shutil.rmtree(staged, ignore_errors=True)
@@ -169,32 +162,22 @@ def set_aside(folder: Path, name: str) -> Path:
     aside = f"replaced/{name}"
     while (folder / aside).exists():
         aside += ".old"
-    with (
-        open_parent(folder, name) as (parent, last),
-        open_parent(folder, aside, create=True) as (new_parent, new),
-    ):
-        os.replace(last, new, src_dir_fd=parent, dst_dir_fd=new_parent)
+    (folder / aside).parent.mkdir(parents=True, exist_ok=True)
+    os.replace(folder / name, folder / aside)
     return folder / aside
 
 
 def delete_files(folder: Path, names: Iterable[str]) -> None:
     """Delete files of a run folder, and the folders that this leaves empty."""
     for name in names:
-        while name and stays_inside(name):
+        (folder / name).unlink(missing_ok=True)
+        for parent in PurePosixPath(name).parents[:-1]:
             try:
-                with open_parent(folder, name) as (parent, last):
-                    if (folder / name).is_dir():
-                        os.rmdir(last, dir_fd=parent)
-                    else:
-                        os.unlink(last, dir_fd=parent)
+                (folder / parent).rmdir()
             except FileNotFoundError:
-                pass
-            except OSError as error:
-                if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
-                    break
-                raise
-            parent_name = PurePosixPath(name).parent.as_posix()
-            name = "" if parent_name == "." else parent_name
+                continue
+            except OSError:  # It is not empty.
+                break
 
 
 @contextlib.contextmanager

@@ -1,22 +1,35 @@
 """Output folder of a sweep: its rows, which survive an interruption, and what describes them."""
 
+import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import arro3.io
+from arro3.core import Array, DataType, Table
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from ..errors import RunError
-from ..io import parquet_files, read_object
+from ..io import read_object, read_untrusted_text
 from ..io.files import write_output
+from ..io.text_files import strict_json, validation_message
 from ..run_folder import LOCK, lock_folder, refuse_links
 from .plan import plain_value
 from .runs import COLUMNS, ITERATION_COLUMNS, KEYS, TERM, Key, Row
 
-RESULTS, HISTORIES, ABOUT = "results.parquet", "histories.parquet", "sweep.json"
-"""Names of the files of the rows, of their iterations, and of the description of the sweep."""
+ROWS, ABOUT = "rows.jsonl", "sweep.json"
+"""Names of the file to which completed runs are appended, and of the description of the sweep."""
+RESULTS, HISTORIES = "results.parquet", "histories.parquet"
 TABLE, CSV, FIGURE = "table.md", "table.csv", "figure.svg"
-"""Names of the files that are written when all runs are complete."""
-FORMAT = "neoworld-sweep/1"
+"""Names of the files that are written when the sweep ends: runs, iterations, and their summary."""
+FORMAT = "neoworld-sweep/2"
+_PARQUET_TYPES: dict[type, DataType] = {
+    bool: DataType.bool(),
+    int: DataType.int64(),
+    float: DataType.float64(),
+    str: DataType.utf8(),
+}
 
 
 class SweepFolder:
@@ -79,7 +92,7 @@ class SweepFolder:
 
     def _open_existing(self, kind: str, resume: bool, overwrite: bool) -> None:
         if overwrite:
-            for name in (RESULTS, HISTORIES, TABLE, CSV, FIGURE):
+            for name in (ROWS, RESULTS, HISTORIES, TABLE, CSV, FIGURE):
                 (self.path / name).unlink(missing_ok=True)
         elif not resume:
             raise RunError(
@@ -118,8 +131,28 @@ class SweepFolder:
             run: rows[fingerprint] for run, fingerprint in expected.items() if fingerprint in rows
         }
 
-    def write_rows(self, rows: Sequence[Row], values: Sequence[str]) -> None:
-        """Write all rows so far.
+    def keep(self, rows: Sequence[Row]) -> None:
+        """Replace the rows on the disk.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        self.write(ROWS, "".join(map(_line, rows)))
+
+    def add(self, row: Row) -> None:
+        """Append a row to those on the disk.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        try:
+            with (self.path / ROWS).open("a", encoding="utf-8") as file:
+                file.write(_line(row))
+        except OSError as error:
+            raise RunError(f"cannot write {self.path / ROWS}: {error.strerror}") from None
+
+    def write_tables(self, rows: Sequence[Row], values: Sequence[str]) -> None:
+        """Write all rows so far, and their iterations, as Parquet files.
 
         Args:
             rows: the runs, each with its iterations under "history".
@@ -136,7 +169,6 @@ class SweepFolder:
         _write_parquet(self.path / HISTORIES, iterations, types)
         types = KEYS | {name: _column_type([row.get(name) for row in rows]) for name in values}
         types |= COLUMNS | dict.fromkeys(term_columns(rows), float)
-        # The runs are written last, so that each of them has its iterations.
         _write_parquet(self.path / RESULTS, rows, types)
 
     def write_about(self, about: Mapping[str, Any]) -> None:
@@ -169,20 +201,37 @@ def sweep_of(path: Path) -> dict[str, Any] | None:
 def read_rows(path: Path | str) -> list[Row]:
     """Read the runs in the folder of a sweep, each with its iterations under "history".
 
-    The list is empty if the sweep ended before its first run was complete.
+    The list is empty if the sweep ended before its first run was complete. A last line that a
+    killed process left incomplete is not a row.
 
     Raises:
-        RunError: a file cannot be read, is not a Parquet file, or lacks a column.
+        RunError: the file cannot be read, or a line of it is no row.
     """
-    runs, histories = Path(path) / RESULTS, Path(path) / HISTORIES
-    if not runs.exists():
+    file = Path(path) / ROWS
+    if not file.exists():
         return []
-    rows = parquet_files.read_rows(runs, (*KEYS, "fingerprint"), RunError)
-    steps: dict[Key, list[Row]] = {row_key(row): [] for row in rows}
-    for step in parquet_files.read_rows(histories, tuple(ITERATION_COLUMNS), RunError):
-        columns = {name: value for name, value in step.items() if name not in KEYS}
-        steps.setdefault(row_key(step), []).append(columns)
-    return [row | {"history": steps[row_key(row)]} for row in rows]
+    lines = read_untrusted_text(file, RunError).split("\n")[:-1]
+    try:
+        return [_KeptRow.model_validate_json(line).model_dump() for line in lines]
+    except ValidationError as error:
+        reason = validation_message(error, _KeptRow)
+        raise RunError(f"{file} is damaged: {reason}; start over with --overwrite") from None
+
+
+class _KeptRow(BaseModel):
+    """A row as a line of rows.jsonl; its values are those of `runs.compute`."""
+
+    model_config = ConfigDict(extra="allow")
+
+    scene: str
+    point: str
+    seed: int
+    fingerprint: str
+    history: list[dict[str, float | None]]
+
+
+def _line(row: Row) -> str:
+    return json.dumps(strict_json(row)) + "\n"
 
 
 def row_key(row: Mapping[str, Any]) -> Key:
@@ -196,10 +245,13 @@ def term_columns(rows: Sequence[Row]) -> list[str]:
 
 
 def _write_parquet(path: Path, rows: Sequence[Row], column_types: Mapping[str, type]) -> None:
-    cells = [
-        {name: _cell(row.get(name), kind) for name, kind in column_types.items()} for row in rows
-    ]
-    parquet_files.write_rows(path, cells, column_types, RunError)
+    columns: dict[str, Any] = {
+        name: Array([_cell(row.get(name), kind) for row in rows], type=_PARQUET_TYPES[kind])
+        for name, kind in column_types.items()
+    }
+    data = io.BytesIO()
+    arro3.io.write_parquet(Table.from_pydict(columns), data, compression="zstd(3)")
+    write_output(path, data.getvalue(), RunError)
 
 
 def _column_type(values: Sequence[Any]) -> type:

@@ -1,5 +1,6 @@
 """Plans of sweeps and ablations: YAML files that are completely validated before the first run."""
 
+import difflib
 import itertools
 import json
 import math
@@ -8,9 +9,17 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
-from ..config import Config, Options, RefineOptions, load_config, merged, read_yaml
+from ..config import (
+    Config,
+    Options,
+    RefineOptions,
+    load_config,
+    merged,
+    option_values,
+    read_yaml,
+)
 from ..errors import ConfigError, choices
 from ..io.text_files import validation_message
 
@@ -18,6 +27,8 @@ ROOT = "refine"
 """Group of the options that plans can vary."""
 BASE = "base"
 """Label of the point of an ablation without changes."""
+_DEFAULTS = option_values(RefineOptions(), f"{ROOT}.")
+"""Defaults of the options of the search, by path."""
 MAX_POINTS = MAX_SEEDS = 10_000
 """Maximum number of points, and of seeds, of a plan."""
 
@@ -178,7 +189,7 @@ def _combinations(plan: Plan) -> list[dict[str, Any]]:
     lists: dict[str, list[Any]] = {}
     ranges: dict[str, AxisRange] = {}
     for path, value in plan.axes.items():
-        integers = _annotation(path, "axes") is int
+        integers = _is_integer(path, "axes")
         if isinstance(value, list | tuple):
             lists[path] = list(value)
         elif (limits := _range(path, value)).n is None:
@@ -235,7 +246,7 @@ def _range(path: str, value: Any) -> AxisRange:
 
 def _sample(ranges: Mapping[str, AxisRange], samples: int, seed: int) -> list[dict[str, Any]]:
     """Sample values uniformly from ranges; with more samples, the earlier ones stay the same."""
-    integers = {path for path in ranges if _annotation(path, "axes") is int}
+    integers = {path for path in ranges if _is_integer(path, "axes")}
     return [
         {
             path: round(limits.at(float(x))) if path in integers else limits.at(float(x))
@@ -276,7 +287,7 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
     """Return the options of a search in which values, by dotted path, override the base."""
     overrides: dict[str, Any] = {}
     for path, value in values.items():
-        _annotation(path, where)
+        _is_integer(path, where)
         tree = overrides
         *heads, last = path.split(".")
         for name in heads:
@@ -292,25 +303,16 @@ def _with_values(base: dict[str, Any], values: Mapping[str, Any], where: str) ->
         raise ConfigError(f"{where}: {validation_message(error, Config)}") from None
 
 
-def _annotation(path: str, where: str) -> Any:
-    """Return the type of an option; raise a ConfigError that suggests similar options."""
-    head, *names = path.split(".")
-    if head != ROOT:
-        raise ConfigError(
-            f"{where}: {path} is not an option of the search; paths begin with {ROOT}."
-        )
-    group: Any = RefineOptions
-    for name in names:
-        if not (isinstance(group, type) and issubclass(group, BaseModel)):
-            raise ConfigError(f"{where}: {path}: {head} is not a group")
-        if name not in group.model_fields:
-            raise ConfigError(f"{where}: no option {path}: {choices(name, group.model_fields)}")
-        head = f"{head}.{name}"
-        group = group.model_fields[name].annotation
-    if isinstance(group, type) and issubclass(group, BaseModel):
-        members = ", ".join(f"{path}.{name}" for name in group.model_fields)
-        raise ConfigError(f"{where}: {path} is a group of options: name one of {members}")
-    return group
+def _is_integer(path: str, where: str) -> bool:
+    """Return True if an option of the search is an integer.
+
+    Raises:
+        ConfigError: there is no such option; the message suggests similar ones.
+    """
+    if path not in _DEFAULTS:
+        near = ", ".join(difflib.get_close_matches(path, _DEFAULTS, n=3, cutoff=0.0))
+        raise ConfigError(f"{where}: {path} is no option of the search; the nearest are {near}")
+    return type(_DEFAULTS[path]) is int
 
 
 def _value_at(tree: Mapping[str, Any], path: str) -> Any:

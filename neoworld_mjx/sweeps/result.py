@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..io.names import TextTable
 from .folder import row_key, term_columns
 from .intervals import mean, rate, rate_difference
 from .plan import BASE
@@ -98,10 +97,10 @@ def result_of(rows: Sequence[Row], about: Mapping[str, Any]) -> SweepResult:
     summaries = [each for each in summaries if each["n"]]
     compared = _differences(rows, points) if about["kind"] == "ablation" else []
     notes = f"{NOTES} Commit {about['commit'] or 'unknown'}."
-    markdown = f"# {about['kind'].capitalize()}\n\n{text_table(notes, summaries).markdown()}"
+    markdown = f"# {about['kind'].capitalize()}\n\n{markdown_table(notes, summaries)}"
     if compared:
-        table = text_table(DIFFERENCE_NOTES, compared, signed=True)
-        markdown += f"\n## Differences from the base\n\n{table.markdown()}"
+        table = markdown_table(DIFFERENCE_NOTES, compared, signed=True)
+        markdown += f"\n## Differences from the base\n\n{table}"
     return SweepResult(list(rows), summaries, compared, markdown, dict(about))
 
 
@@ -185,10 +184,8 @@ def comma_separated(summaries: Sequence[dict[str, Any]]) -> str:
     return text.getvalue()
 
 
-def text_table(
-    note: str, summaries: Sequence[dict[str, Any]], *, signed: bool = False
-) -> TextTable:
-    """Return summaries as a table of formatted means with intervals.
+def markdown_table(note: str, summaries: Sequence[dict[str, Any]], *, signed: bool = False) -> str:
+    """Return summaries as a Markdown table of formatted means with intervals.
 
     Args:
         note: text that explains the table.
@@ -198,11 +195,12 @@ def text_table(
     columns = [column for column in _columns(summaries) if any(column.name in s for s in summaries)]
     head = ["point", "n", "scenes", *(column.title for column in columns)]
     rows = [
-        [row["point"], str(row["n"]), str(row["scenes"])]
+        [row["point"].replace("|", r"\|"), str(row["n"]), str(row["scenes"])]
         + [_cell(row.get(column.name), column, row["n"], signed) for column in columns]
         for row in summaries
     ]
-    return TextTable(note, head, rows)
+    rule = ["---", *["---:"] * (len(head) - 1)]
+    return f"{note}\n\n" + "".join(f"| {' | '.join(row)} |\n" for row in (head, rule, *rows))
 
 
 def _cell(estimate: dict[str, Any] | None, column: TableColumn, n: int, signed: bool) -> str:

@@ -130,7 +130,7 @@ def merge(
     about = first | {"shard": [1, 1], "shards": [str(path) for path in paths], "seconds": 0.0}
     ordered = [rows[key] for key in order if key in rows]
     with SweepFolder(out, first["kind"], resume=False, overwrite=overwrite) as folder:
-        folder.write_rows(ordered, _value_columns(about))
+        folder.keep(ordered)
         return _finish(ordered, about, len(order), folder)
 
 
@@ -202,30 +202,24 @@ def _compute(
     place: Place,
     folder: SweepFolder | None,
 ) -> SweepResult:
-    """Compute the runs that `completed` lacks, and save all rows after each run."""
-    began, before, save_at = time.perf_counter(), len(completed), 0.0
-    values = _value_columns(about)
+    """Compute the runs that `completed` lacks, and save each of them."""
+    began, before = time.perf_counter(), len(completed)
     if folder is not None:
         folder.write_about(about | {"finished": False})
+        folder.keep(_in_order(runs, completed))
     pending = [run for key, run in runs.items() if key not in completed]
-    try:
-        for row in run_tasks(compute, pending, place):
-            completed[row_key(row)] = row
-            done, now = len(completed), time.perf_counter()
-            left = (len(runs) - done) * (now - began) / (done - before)
-            report(
-                f"{row['scene']}, {row['point']}, seed {row['seed']}: {row['rollouts']} rollouts "
-                f"in {row['seconds']:.1f} s; {done} of {len(runs)} runs done, about {left:.0f} s "
-                "left",
-                step=f"{about['kind']} of {len(runs)} runs, {done} done, {left:.0f} s left",
-            )
-            if folder is not None and now >= save_at:
-                folder.write_rows(_in_order(runs, completed), values)
-                # Saving many rows may take a tenth of the time, so that it does not slow a sweep.
-                save_at = time.perf_counter() + 9 * (time.perf_counter() - now)
-    finally:
+    for row in run_tasks(compute, pending, place):
+        completed[row_key(row)] = row
         if folder is not None:
-            folder.write_rows(_in_order(runs, completed), values)
+            folder.add(row)
+        done = len(completed)
+        left = (len(runs) - done) * (time.perf_counter() - began) / (done - before)
+        report(
+            f"{row['scene']}, {row['point']}, seed {row['seed']}: {row['rollouts']} rollouts "
+            f"in {row['seconds']:.1f} s; {done} of {len(runs)} runs done, about {left:.0f} s "
+            "left",
+            step=f"{about['kind']} of {len(runs)} runs, {done} done, {left:.0f} s left",
+        )
     about = about | {"seconds": time.perf_counter() - began}
     return _finish(_in_order(runs, completed), about, len(runs), folder)
 
@@ -245,6 +239,7 @@ def _finish(
         about["figure"] = None if figure is None else str(folder.path / FIGURE)
     result = result_of(rows, about)
     if folder is not None:
+        folder.write_tables(rows, _value_columns(about))
         folder.write(TABLE, result.table)
         folder.write(CSV, comma_separated(result.points))
         if figure is not None:

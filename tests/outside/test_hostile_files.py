@@ -14,10 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import arro3.io
 import numpy as np
 import pytest
-from arro3.core import Array, RecordBatch, Table
 from PIL import Image
 from pydantic import BaseModel
 
@@ -26,7 +24,6 @@ from neoworld_mjx.errors import NeoWorldError, PhotoError, RunError, SpecError
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read_model
 from neoworld_mjx.io.limited_worker import call_limited
-from neoworld_mjx.io.parquet_files import read_rows, write_rows
 from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.spec import (
     Box,
@@ -107,14 +104,6 @@ def npz(shape: tuple[int, ...], data: bytes = b"", kind: str = "<f8") -> bytes:
     return whole.getvalue()
 
 
-def many_rows() -> bytes:
-    """Return a Parquet file of a few kilobytes that expands to ten million rows."""
-    batch = RecordBatch.from_pydict({"seed": Array.from_numpy(np.zeros(1_000_000, np.int8))})
-    data = io.BytesIO()
-    arro3.io.write_parquet(Table.from_batches([batch] * 10), data, compression="zstd(3)")
-    return data.getvalue()
-
-
 def json_of(path: Path) -> Any:
     return read_json(path, SpecError)
 
@@ -125,10 +114,6 @@ def model_of(path: Path) -> Any:
 
 def arrays_of(path: Path) -> Any:
     return read_arrays(path, RunError)
-
-
-def rows_of(path: Path) -> Any:
-    return read_rows(path, ["seed"], RunError)
 
 
 BOMB = "a: &a [x, x, x]\n" + "".join(
@@ -160,8 +145,6 @@ FILES: dict[str, Row] = {
     "pickle": ("a.npz", npz((1,), bytes(8), "|O"), arrays_of, "Python objects"),
     "zip bomb": ("a.npz", lambda: npz((2**22,), bytes(2**25)), arrays_of, "unpacks to 32 MiB"),
     "no zip": ("a.npz", b"PK\x03\x04" + bytes(100), arrays_of, "no readable arrays"),
-    "rows": ("a.parquet", many_rows, rows_of, "holds over 500000 rows|takes over"),
-    "no table": ("a.parquet", b"PAR1" + bytes(50) + b"PAR1", rows_of, "is damaged"),
     # Pictures.
     "pixels": ("a.png", lambda: png(12_000, 12_000), load_photo, "144 megapixels; the limit"),
     "decoding": ("a.png", lambda: png(11_000, 11_000), load_photo, "memory"),
@@ -342,7 +325,7 @@ SPECIAL = ("pipe", "device", "folder", "circle", "missing")
 
 
 @pytest.mark.parametrize("kind", SPECIAL)
-@pytest.mark.parametrize("read", [json_of, model_of, arrays_of, rows_of, load_config, import_file])
+@pytest.mark.parametrize("read", [json_of, model_of, arrays_of, load_config, import_file])
 def test_only_regular_files_are_read(tmp_path, kind, read):
     path = tmp_path / "a.urdf"
     if kind == "pipe":
@@ -470,9 +453,6 @@ def test_arrays_and_rows_round_trip(tmp_path):
     for name, value in arrays.items():
         np.testing.assert_array_equal(read[name], value)
         assert read[name].dtype == value.dtype
-    rows = [{"a": 1, "b": "x", "c": None}, {"a": 2, "b": None, "c": 0.5}]
-    write_rows(tmp_path / "a.parquet", rows, {"a": int, "b": str, "c": float}, RunError)
-    assert read_rows(tmp_path / "a.parquet", ["a"], RunError) == rows
 
 
 def test_large_photographs_of_phones_are_read_and_those_of_run_folders_refused(tmp_path):

@@ -1,11 +1,9 @@
 """The scene tree of a run: one file that each step replaces, with the earlier ones in history/."""
 
-import json
-
 from neoworld_mjx.config import Config
 from neoworld_mjx.pipeline.compose_step import _unfitted
-from neoworld_mjx.pipeline.object_steps import _correct_sizes, write_object_files
-from neoworld_mjx.pipeline.step_context import RESPONSE_TREE, read_tree
+from neoworld_mjx.pipeline.object_steps import _correct_sizes
+from neoworld_mjx.pipeline.step_context import RESPONSE_TREE, read_tree, write_files
 from neoworld_mjx.run_folder import RunFolder
 from tests.support import answers
 
@@ -22,7 +20,7 @@ def test_corrected_sizes_are_in_the_tree_and_in_the_unfitted_tree(tmp_path):
         for node in fitted.nodes:
             with run.step(f"program/{node.name}", {}) as out:
                 size = [0.4, 0.4, 0.4] if node.name == first else None
-                write_object_files(out, node.name, {"program.json": json.dumps({"size": size})})
+                write_files(out, {f"objects/{node.name}/program.json": {"size": size}})
         _correct_sizes(run, fitted)
         assert read_tree(run, before="program") == fitted
         current = read_tree(run)

@@ -4,7 +4,9 @@ import csv
 import io
 from xml.etree import ElementTree as ET
 
+import arro3.io
 import pytest
+from arro3.core import Table
 
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.sweeps.figure import MAX_LINES, draw
@@ -46,13 +48,21 @@ def test_a_folder_keeps_rows_and_iterations_with_further_terms(tmp_path):
         for row in ROWS
     ]
     with SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=False) as folder:
-        folder.write_rows(rows, [SIGMA, DRIFT])
+        for row in rows:
+            folder.add(row)
+        folder.write_tables(rows, [SIGMA, DRIFT])
     with SweepFolder(tmp_path / "out", "sweep", resume=True, overwrite=False) as again:
         for old, new in zip(rows, again.rows, strict=True):
             assert {name: new[name] for name in old} == old
-    (tmp_path / "out" / "histories.parquet").unlink()
-    with pytest.raises(RunError, match=r"cannot read .*histories\.parquet"):
-        read_rows(tmp_path / "out")
+    table = Table(arro3.io.read_parquet(tmp_path / "out" / "results.parquet").read_all())
+    assert table["term_upright"].to_pylist() == [0.5] * len(rows)
+    kept = tmp_path / "out" / "rows.jsonl"
+    kept.write_text(kept.read_text()[:-9])  # As a killed process leaves it.
+    assert read_rows(tmp_path / "out") == rows[:-1]
+    for text, message in (('{"scene": 1}', "scene"), ("[" * 10_000, "JSON"), ("x", "JSON")):
+        kept.write_text(f"{text}\n")
+        with pytest.raises(RunError, match=rf"rows\.jsonl is damaged: .*{message}.*--overwrite"):
+            read_rows(tmp_path / "out")
     with SweepFolder(tmp_path / "out", "sweep", resume=False, overwrite=True):
         names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [".lock", "sweep.json"]

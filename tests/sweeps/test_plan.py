@@ -45,11 +45,11 @@ def test_custom_terms_are_replaced_as_a_whole():
 @pytest.mark.parametrize(
     ("axes", "said"),
     [
-        ({"refine.cem.sigma_x": [1]}, "did you mean 'sigma_xy'"),
-        ({"refine.cm.sigma_xy": [1]}, "did you mean 'cem'"),
-        ({"refine.cem.sigma_xy.deep": [1]}, "refine.cem.sigma_xy is not a group"),
-        ({"refine.cem": [{}]}, "refine.cem is a group of options: name one of refine.cem.pop"),
-        ({"render.width": [100]}, "paths begin with refine."),
+        ({"refine.cem.sigma_x": [1]}, "the nearest are refine.cem.sigma_xy, "),
+        ({"refine.cm.sigma_xy": [1]}, "the nearest are refine.cem.sigma_xy, "),
+        ({"refine.cem.sigma_xy.deep": [1]}, "sigma_xy.deep is no option of the search"),
+        ({"refine.cem": [{}]}, "refine.cem is no option of the search"),
+        ({"render.width": [100]}, "render.width is no option of the search"),
         ({"refine.cem.sigma_xy": []}, "refine.cem.sigma_xy has no values"),
         ({"refine.cem.sigma_xy": ["wide"]}, "refine.cem.sigma_xy: Input should be a valid number"),
         ({"refine.cem.sigma_xy": [0.1, -1]}, "greater than or equal to 0, got -1"),
@@ -73,7 +73,7 @@ def test_variants_override_the_base():
         ({"nothing": {}}, "changes nothing"),
         ({"same": {"refine.reward.w_drift": 1}}, "equals the base"),
         ({"base": {"refine.reward.w_drift": 0}}, "reserved for the options without changes"),
-        ({"typo": {"refine.reward.w_drft": 0}}, "did you mean 'w_drift'"),
+        ({"typo": {"refine.reward.w_drft": 0}}, "the nearest are refine.reward.w_drift, "),
     ):
         with pytest.raises(ConfigError, match=message):
             points(Ablation(variants=variants))

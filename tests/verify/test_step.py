@@ -10,8 +10,8 @@ from neoworld_mjx.checks.signals import Allowance
 from neoworld_mjx.config import Config, VerifyOptions
 from neoworld_mjx.mllm import Panel, Usage
 from neoworld_mjx.mllm.requests import Reply
-from neoworld_mjx.pipeline.object_steps import verify_objects, write_object_files
-from neoworld_mjx.pipeline.step_context import Pictures, StepContext
+from neoworld_mjx.pipeline.object_steps import verify_objects
+from neoworld_mjx.pipeline.step_context import StepContext, object_files, write_files
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import (
     Box,
@@ -126,10 +126,10 @@ def test_a_new_program_replaces_the_first_which_stays_in_the_history(tmp_path):
         for entry, spec in zip(nodes, (objects.chest(), pin()), strict=True):
             with run.step(f"program/{entry.name}", {}) as out:
                 files = {"spec.json": spec.to_json(), "program.json": '{"allowances": []}'}
-                write_object_files(out, entry.name, {**files, "program.py": first})
+                write_files(out, object_files(entry.name, {**files, "program.py": first}))
         photo = answers.photo()
-        with Pictures(run, config.render) as pictures, Panel(model) as models:
-            context = StepContext(run, config, photo, models, pictures)
+        with Panel(model) as models:
+            context = StepContext(run, config, photo, models)
             verify_objects(context)
             assert [r.name for r in model.requests] == ["simulation:pin", "reprogram:pin"]
             assert run.data["fallbacks"] == []
@@ -167,8 +167,7 @@ def stepped(tmp_path, spec, allowances=(), **more):
             (home / "spec.json").write_text(built.to_json())
             granted = [one._asdict() for one in allowances] if name == "thing" else []
             (home / "program.json").write_text(json.dumps({"allowances": granted}))
-        with Pictures(run, config.render) as pictures:
-            verify_objects(StepContext(run, config, None, None, pictures))
+        verify_objects(StepContext(run, config, None, None))
         reported = [one for one in run.data["fallbacks"] if one["step"] == "verify/thing"]
         verdict = json.loads((run.path / "objects" / "thing" / "verify.json").read_text())
     return verdict, reported

@@ -13,13 +13,15 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.config import Config, RefineOptions
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.file_camera import FileCamera
-from neoworld_mjx.export.importing import scene_of_assemblies
+from neoworld_mjx.export.importing import ImportedScene, scene_of_assemblies
 from neoworld_mjx.export.mesh_colors import Surface
 from neoworld_mjx.export.read_mesh_scene import mesh_object, viewpoint
 from neoworld_mjx.measure import measured, passes
-from neoworld_mjx.pipeline.rescue import Photographed, rescue
+from neoworld_mjx.pipeline.place import RefinedPlacement, place, refine_placed
+from neoworld_mjx.pipeline.rescue import Photographed, as_given, posed_tree
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import Camera, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import angle_between
@@ -76,10 +78,10 @@ def standing(seed: int):
     pose[:3, 3] = (0.9, 0.0, TABLE_Z - 0.04)
     objects = {"table": (table, pose)}
     count = int(rng.integers(3, 6))
-    for k, place in enumerate(rng.permutation(PLACES)[:count]):
+    for k, at in enumerate(rng.permutation(PLACES)[:count]):
         kind = str(rng.choice(list(KINDS)))
         mesh = KINDS[kind](rng)
-        position = np.array([0.9 + place[0], place[1], TABLE_Z]) + [*rng.uniform(-0.04, 0.04, 2), 0]
+        position = np.array([0.9 + at[0], at[1], TABLE_Z]) + [*rng.uniform(-0.04, 0.04, 2), 0]
         objects[f"{kind}_{k}"] = mesh, upright(position, rng.uniform(-np.pi, np.pi))
         if kind == "carton" and rng.random() < 0.5:
             small = lifted(trimesh.creation.box(extents=0.5 * mesh.extents))
@@ -168,7 +170,7 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
     given = scene_of_meshes(disturbed(standing(seed), seed))
     picture = photograph_of(original) if photo else None
     began = time.perf_counter()
-    rescued = rescue(given, photo=picture)
+    rescued = rescued_scene(given, picture)
     seconds = time.perf_counter() - began
     fixed = tuple(
         item.model_copy(update={"environment": item.name == "table"}) for item in given.spec.objects
@@ -176,19 +178,27 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
     o = RefineOptions()
     given_measure = measured(given.spec.model_copy(update={"objects": fixed}), o)
     starts, ends = world_poses(original), world_poses(rescued.scene)
-    for name in rescued.moves_m:
+    for name in [item.name for item in rescued.scene.objects if not item.static]:
         start, end = starts[name], ends[name]
         yield RescueRow(
             scene=seed,
             object=name,
             given_passed=passes(given_measure, o),
-            passed=rescued.passed,
+            passed=rescued.refined.passed,
             position_mm=1e3 * float(np.linalg.norm((end.pos - start.pos)[:2])),
             turn_deg=float(np.degrees(angle_between(start.quat, end.quat))),
             given_size=_size(given.spec, name) / _size(original, name) - 1,
             size=_size(rescued.scene, name) / _size(original, name) - 1,
             seconds=seconds,
         )
+
+
+def rescued_scene(given: ImportedScene, photo: Photographed | None) -> RefinedPlacement:
+    """Return the result of Steps 4 and 5 of a rescue, without a run folder."""
+    tree, c = posed_tree(given, photo), as_given(Config(), photo=photo is not None)
+    evidence = Evidence(None if photo is None else photo.rgb, boxes=False)
+    placed = place(tree.tree, tree.objects, evidence, c.compose)
+    return refine_placed(placed.scene, c.refine, photo=evidence.photo, again=c.compose.align)
 
 
 def photograph_of(scene: SceneSpec) -> Photographed:
