@@ -3,6 +3,7 @@
 Attributes are imported on first use, so importing the package loads neither JAX nor MuJoCo.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,9 @@ if TYPE_CHECKING:
     from .sweeps.run import sweep as sweep
 
 __version__ = "0.2.0"
+
+if "gymnasium" in sys.modules:
+    import_module(f"{__name__}.environments")  # registers neoworld/Scene-v0
 
 share_gpu_memory()  # Must precede the initialization of JAX.
 

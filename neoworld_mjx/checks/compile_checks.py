@@ -96,15 +96,7 @@ def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
 
 def _hull_volume(part: PartSpec) -> float:
     """Return the volume of a part's convex hull [m^3]."""
-    corners = []
-    for _, piece, pose in pieces(part):
-        if piece.kind == "box":
-            vertices = np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * piece.size
-        elif piece.kind == "mesh":
-            vertices = np.array(piece.vertices)
-        else:
-            vertices = faceted(piece, 16)
-        corners.append(pose.apply(vertices))
+    corners = [pose.apply(faceted(piece, 16)) for _, piece, pose in pieces(part)]
     try:
         return float(ConvexHull(np.vstack(corners)).volume)
     except QhullError:  # The part is flat up to rounding.

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -42,6 +42,10 @@ class TrainCommand(Command):
     """Draws of the scene in which episodes start; 0 for the scene itself."""
     seed: int = 0
     """Random seed."""
+    without: tuple[str, ...] = ()
+    """Objects that are left out, which is faster."""
+    colliders: Literal["exact", "coarse"] = "exact"
+    """Colliders in training; coarse ones are faster, and their error is printed."""
     engine: str | None = None
     """native, warp or mjx. Default: the fastest of the machine."""
     horizon: int | None = None
@@ -67,7 +71,9 @@ class TrainCommand(Command):
         options = default_options(engine)
         if self.worlds is not None:
             options = replace(options, worlds=self.worlds)
-        training = Training(self.steps, self.minutes, self.samples, self.seed, engine)
+        training = Training(
+            self.steps, self.minutes, self.samples, self.seed, engine, self.colliders
+        )
         policy = train(
             scene,
             _setting(self, scene),
@@ -97,10 +103,11 @@ def _setting(command: TrainCommand, scene: "SceneSpec") -> "Setting":
     """Return the setting of the flags, with a proposed mount, or a gripper at the handle."""
     from ..environments.policy import Setting
     from ..environments.robots import Mount
+    from ..environments.simplified_scene import scene_without
     from ..environments.task_words import gripper_of, task_of
 
-    task = task_of(scene, command.task)
-    own: dict[str, Any] = {"task": command.task}
+    task = task_of(scene_without(scene, command.without), command.task)
+    own: dict[str, Any] = {"task": command.task, "without": command.without}
     default = Setting(**own)
     own["horizon"] = command.horizon or round(task.horizon * 0.02 / default.control_s)
     if command.robot is None:

@@ -4,10 +4,11 @@ A free gripper may start in front of a handle, with one finger on each side of t
 stands where it is mounted.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +34,7 @@ from .arm import Arm, Control, SceneState, compiled_arm
 from .robot_model import attach_robot, read_robot
 from .robots import PREFIX as ROBOT
 from .robots import TOOL, Mount, Robot, find_robot
+from .simplified_scene import Colliders, scene_without, with_coarse_colliders
 
 AWAY_M = 0.10
 """Initial distance of a gripper from a handle [m]."""
@@ -145,6 +147,8 @@ class ControlledScene:
     """Drives, in the order of their targets in an action; those of the gripper or robot follow."""
     gripper: Gripper | None
     arm: Arm | None = None
+    collider_errors: dict[str, float] = field(default_factory=dict)
+    """About how far coarse colliders exceed the exact ones [m], by object."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -335,6 +339,17 @@ class ControlledScene:
         return InitialState(qpos, pos, quat)
 
 
+class SceneOptions(TypedDict, total=False):
+    """Arguments that environments pass on to `controlled_scene`."""
+
+    gripper: Gripper | str | None
+    robot: Robot | Path | str | None
+    mount: Mount | None
+    control: Control
+    drive_joints: bool | None
+    colliders: Colliders
+
+
 def controlled_scene(
     run: Path | str | SceneSpec,
     *,
@@ -343,6 +358,8 @@ def controlled_scene(
     mount: Mount | None = None,
     control: Control = "tool",
     drive_joints: bool | None = None,
+    without: Sequence[str] = (),
+    colliders: Colliders = "exact",
     mjx: bool = False,
     links: bool = True,
     visual: bool = False,
@@ -358,6 +375,8 @@ def controlled_scene(
         control: what an action of the robot moves; see `Arm.controls`.
         drive_joints: if True, add position actuators to the joints. If None, add them only if there
             is no gripper or robot, because position actuators resist a pull.
+        without: objects that are left out.
+        colliders: exact, or coarse; see `with_coarse_colliders`.
         mjx: if True, compile a model that `mjx_step` can simulate.
         links: if False, only the hand and the fingers of the robot collide.
         visual: if True, add geoms that do not collide, for pictures.
@@ -366,7 +385,13 @@ def controlled_scene(
         SpecError: there is no scene, the handle or the robot does not exist, there is nothing to
             actuate, or an object has the name of the gripper or robot.
     """
-    spec = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    spec = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
+    hand = facing(spec, gripper) if isinstance(gripper, str) else gripper
+    errors: dict[str, float] = {}
+    if colliders == "coarse":
+        spec, errors = with_coarse_colliders(spec)
+    elif colliders != "exact":
+        raise SpecError(f"colliders: {choices(colliders, ['exact', 'coarse'])}")
     timestep = 0.004 if mjx else 0.002
     compiled = compile_scene(spec, timestep=timestep)
     for item in spec.objects:
@@ -382,7 +407,6 @@ def controlled_scene(
     if not mjx:
         model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.option.impratio = IMPRATIO
-    hand = facing(spec, gripper) if isinstance(gripper, str) else gripper
     driven = drive_joints if drive_joints is not None else hand is None and robot is None
     scene_drives = drives(spec) if driven else ()
     for drive in scene_drives:
@@ -410,7 +434,7 @@ def controlled_scene(
         if mount.home:
             arm = replace(arm, home=arm.checked_home(mount.home))
         qpos[arm.qpos], qpos[arm.fingers] = arm.home, arm.opened
-    return ControlledScene(compiled, mjm, qpos, scene_drives, hand, arm)
+    return ControlledScene(compiled, mjm, qpos, scene_drives, hand, arm, errors)
 
 
 def _add_actuator(model: mujoco.MjSpec, drive: Drive) -> None:

@@ -1,25 +1,24 @@
 """Gymnasium environment of a scene, simulated by C MuJoCo."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import jax
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import EngineError
-from ..physics.gripper import Gripper
+from ..errors import EngineError, SpecError, choices
 from ..render import render_scene
 from ..spec import SceneSpec, read_scene
 from ..spec.pose import conjugate, from_yaw, quat_mul, yaw_of
-from .arm import Control, copied, scene_state
-from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
+from .arm import copied, scene_state
+from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
 from .mjx_environment import with_four_arguments
 from .reach import propose_mount
-from .robots import Mount, Robot
+from .simplified_scene import scene_without
 from .task import SceneTask, Task
 from .task_words import task_of
 
@@ -166,59 +165,53 @@ def _unbounded(*shape: int) -> spaces.Box:
 def gym_env(
     run: Path | str | SceneSpec,
     *,
-    gripper: Gripper | str | None = None,
-    robot: Robot | Path | str | None = None,
-    mount: Mount | None = None,
-    control: Control = "tool",
     task: Task | str | None = None,
-    drive_joints: bool | None = None,
+    without: Sequence[str] = (),
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
     picture: tuple[int, int] | None = None,
     control_s: float = 0.02,
-    horizon: int = 500,
+    horizon: int | None = None,
+    render_mode: str | None = None,
+    **scene_options: Unpack[SceneOptions],
 ) -> SceneEnv:
     """Return a Gymnasium environment of a run folder, a scene.json or a scene.
 
+    `gymnasium.make("neoworld_mjx.environments:neoworld/Scene-v0", run=...)` takes the same.
+
     Args:
         run: the folder, file or scene.
-        gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
-            that the gripper faces. If None, there is no gripper.
-        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
-        mount: pose of the robot's base; if None, one from which the robot reaches the task.
-        control: what an action of the robot moves; see `Arm.controls`.
         task: a task, or a sentence such as "open the top drawer". It gives the initial state, the
             reward, and `success` and `progress` in the info of each step.
-        drive_joints: if True, actions include targets of the joints. If None, they do so only if
-            there is no gripper or robot.
+        without: objects that are left out.
         reward: function of the observation, or of (observation, action, state, previous state); if
             None, the reward is that of the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
         picture: height and width of the images in observations [px]; rendering an image takes about
             a second. If None, observations contain no image.
         control_s: duration of each action [s].
-        horizon: number of steps after which an episode is truncated.
+        horizon: number of steps after which an episode is truncated; if None, that of the task, or
+            500.
+        render_mode: rgb_array or None, as Gymnasium requires; `render` returns an image in either.
+        scene_options: gripper, robot, mount, control, drive_joints and colliders, as in
+            `controlled_scene`. Without a mount, the robot stands where it reaches the task.
 
     Raises:
         SpecError: there is no scene, the handle or the robot does not exist, there is nothing to
             actuate, or the robot reaches the task from nowhere.
         EngineError: gymnasium is not installed.
     """
-    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    if render_mode not in (None, "rgb_array"):
+        raise SpecError(f"render_mode: {choices(render_mode, ['rgb_array'])}")
+    scene = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
     if isinstance(task, str):
         task = task_of(scene, task)
     if task is not None:
         scene = task.scene
-        if robot is not None and mount is None:
-            mount = propose_mount(task, robot)
-    controlled = controlled_scene(
-        scene,
-        gripper=gripper,
-        robot=robot,
-        mount=mount,
-        control=control,
-        drive_joints=drive_joints,
-    )
+        robot = scene_options.get("robot")
+        if robot is not None and scene_options.get("mount") is None:
+            scene_options["mount"] = propose_mount(task, robot)
+    controlled = controlled_scene(scene, **scene_options)
     return SceneEnv(
         controlled,
         reward=reward,
@@ -226,5 +219,5 @@ def gym_env(
         noise=noise or ResetNoise(),
         picture=picture,
         control_s=control_s,
-        horizon=horizon,
+        horizon=horizon or (500 if task is None else task.horizon),
     )

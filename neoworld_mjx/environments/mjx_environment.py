@@ -4,9 +4,9 @@ The same pure functions run on C MuJoCo (in threads), MuJoCo Warp and MJX; see `
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import equinox as eqx
 import jax
@@ -14,13 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..errors import SpecError
-from ..physics.gripper import Gripper
 from ..spec import SceneSpec
-from .arm import Control, scene_state
-from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
+from .arm import scene_state
+from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
 from .engines import WorldState, choose_engine, initial_world, open_steps
 from .randomization import Variants
-from .robots import Mount, Robot
 
 Observation = dict[str, Array]
 """Observations by name; see `ControlledScene.observe`."""
@@ -164,29 +162,20 @@ def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, 
 def mjx_env(
     run: Path | str | SceneSpec,
     *,
-    gripper: Gripper | str | None = None,
-    robot: Robot | Path | str | None = None,
-    mount: Mount | None = None,
-    control: Control = "tool",
-    drive_joints: bool | None = None,
+    without: Sequence[str] = (),
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
     variants: Variants | None = None,
     control_s: float = 0.02,
     engine: str | None = None,
     worlds: int = WORLDS,
+    **scene_options: Unpack[SceneOptions],
 ) -> MjxEnv:
     """Return an environment of a run folder, a scene.json or a scene, for use with `jax.vmap`.
 
     Args:
         run: the folder, file or scene.
-        gripper: initial pose of a free-flying gripper, or the name <object>-<frame> of the handle
-            that the gripper faces. If None, there is no gripper.
-        robot: name (panda, so101, ur5e) or MJCF file of an arm with a gripper.
-        mount: pose of the robot's base.
-        control: what an action of the robot moves; see `Arm.controls`.
-        drive_joints: if True, actions include targets of the joints. If None, they do so only if
-            there is no gripper or robot.
+        without: objects that are left out.
         reward: function that JAX can trace, of the observation, or of (observation, action, state,
             previous state); if None, the reward is 0.
         noise: noise that each reset adds to the scene; if None, no noise.
@@ -195,21 +184,15 @@ def mjx_env(
         engine: native (C MuJoCo in threads), warp (MuJoCo Warp on NVIDIA GPUs) or mjx; if None, the
             fastest of the machine.
         worlds: largest number of worlds in a batch; only warp needs it.
+        scene_options: gripper, robot, mount, control, drive_joints and colliders, as in
+            `controlled_scene`.
 
     Raises:
         SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
     name = engine or choose_engine()
-    controlled = controlled_scene(
-        run,
-        gripper=gripper,
-        robot=robot,
-        mount=mount,
-        control=control,
-        drive_joints=drive_joints,
-        mjx=name == "mjx",
-    )
+    controlled = controlled_scene(run, without=without, mjx=name == "mjx", **scene_options)
     return MjxEnv(
         controlled,
         reward=reward,

@@ -29,6 +29,8 @@ class Setting(BaseModel):
     mount: Mount | None = None
     gripper: str | None = Field(default=None, max_length=1000)
     """Handle that a free-flying gripper faces, instead of a robot."""
+    without: tuple[str, ...] = Field(default=(), max_length=500)
+    """Objects that are left out."""
     control_s: float = Field(default=0.04, gt=0, le=1)
     """Duration of an action [s]."""
     horizon: int = Field(default=125, gt=0, le=100_000)

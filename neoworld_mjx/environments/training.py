@@ -25,6 +25,7 @@ from .policy import About, Policy, Setting
 from .policy_environment import PolicyEnv
 from .randomization import Variants, variants_of
 from .samples import sample
+from .simplified_scene import Colliders, scene_without
 from .task import SceneTask
 from .task_words import task_of
 
@@ -49,20 +50,27 @@ class Training:
     seed: int = 0
     engine: str | None = None
     """native, warp or mjx; the fastest of the machine if None."""
+    colliders: Colliders = "exact"
+    """Coarse ones are faster; see `with_coarse_colliders`. Evaluation takes the exact ones."""
 
 
 REPORT_S = 10.0
 
 
 def task_scene(
-    scene: SceneSpec, setting: Setting, *, mjx: bool = False, visual: bool = False
+    scene: SceneSpec,
+    setting: Setting,
+    *,
+    mjx: bool = False,
+    visual: bool = False,
+    colliders: Colliders = "exact",
 ) -> SceneTask:
     """Return the task of a setting in a scene with the setting's robot or gripper.
 
     Raises:
         SpecError: the scene has no such task or handle, or the robot is not installed.
     """
-    task = task_of(scene, setting.task)
+    task = task_of(scene_without(scene, setting.without), setting.task)
     controlled = controlled_scene(
         task.scene,
         robot=setting.robot,
@@ -71,6 +79,7 @@ def task_scene(
         links=False,
         mjx=mjx,
         visual=visual,
+        colliders=colliders,
     )
     return task.on(controlled)
 
@@ -121,7 +130,9 @@ def train(
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     engine = t.engine or choose_engine()
     o = options or default_options(engine)
-    task = task_scene(scene, setting, mjx=engine == "mjx")
+    task = task_scene(scene, setting, mjx=engine == "mjx", colliders=t.colliders)
+    for name, error in task.controlled.collider_errors.items():
+        report(f"coarse colliders of {name} exceed the exact ones by {1000 * error:.0f} mm")
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(
         task.controlled,

@@ -272,7 +272,11 @@ def _faceted_piece(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
 
 
 def faceted(piece: Piece, sectors: int) -> NDArray:
-    """Return points on the surface of a round piece, in the piece's frame [m], shape [n, 3]."""
+    """Return the corners of a piece, or points on a round one, in its frame [m], shape [n, 3]."""
+    if piece.kind == "mesh":
+        return np.array(piece.vertices)
+    if piece.kind == "box":
+        return np.array(list(itertools.product((-1, 1), repeat=3))) * np.array(piece.size)
     angle = 2 * np.pi * np.arange(sectors) / sectors
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sectors)])
     if piece.kind == "cylinder":

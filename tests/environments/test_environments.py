@@ -5,6 +5,7 @@ from pathlib import Path
 import gymnasium
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -13,10 +14,10 @@ import neoworld_mjx as nw
 from neoworld_mjx.environments.arm import SceneState
 from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import Box, SceneObject, SceneSpec
-from neoworld_mjx.spec.pose import rotate
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import from_yaw, rotate
 from neoworld_mjx.spec.scene import PoseUncertainty
-from tests.support.mechanisms import single
+from tests.support.mechanisms import WOOD, geom, part, single
 from tests.support.notebooks import run_small
 
 ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
@@ -224,3 +225,53 @@ def test_a_robot_and_a_task_in_gymnasium(scene):
     )
     own.reset(seed=0)
     assert own.step(np.array([1, 0, 0, 0, 0, 0, 1], np.float32))[1] > 0
+
+
+@pytest.mark.filterwarnings("ignore:.*(infinity|render mode).*:UserWarning")
+def test_gymnasium_makes_a_scene_by_its_name(scene):
+    env = gymnasium.make("neoworld_mjx.environments:neoworld/Scene-v0", run=scene, horizon=5)
+    check_env(env.unwrapped)
+    with pytest.raises(SpecError, match="render_mode: got 'human'"):
+        gymnasium.make("neoworld/Scene-v0", run=scene, render_mode="human")
+
+
+def test_objects_are_left_out_by_name(scene):
+    env = nw.gym_env(
+        scene, without=("block",), task="open the drawer", gripper="chest-drawer_handle"
+    )
+    assert env.controlled.names == ("chest",) and env.reset(seed=0)[0]["poses"].shape == (1, 7)
+    assert controlled_scene(scene, without=("block",)).names == ("chest",)
+    with pytest.raises(SpecError, match="did you mean 'block'"):
+        nw.gym_env(scene, without=("blok",))
+    with pytest.raises(SpecError, match="without chest: block stands on it"):
+        nw.mjx_env(scene, without=("chest",))
+
+
+def test_coarse_colliders_keep_mass_and_cavities_and_tell_their_error():
+    ring = [
+        geom(f"side{k}", Box(size=(0.02, 0.06, 0.1)), (0.1 * np.cos(a), 0.1 * np.sin(a), 0.05),
+             quat=tuple(from_yaw(a).tolist()))
+        for k, a in enumerate(np.arange(12) * np.pi / 6)
+    ]  # fmt: skip
+    floor = single("floor", Box(size=(4.0, 4.0, 0.1)), 0.05)
+    pot = ObjectSpec(name="pot", materials=(WOOD,), parts=(part("pot", *ring),))
+    scene = SceneSpec(
+        objects=(
+            SceneObject(name="floor", spec=floor, environment=True, z=-0.1),
+            SceneObject(name="pot", spec=pot, parent="floor", z=0.1),
+        )
+    )
+    hand = nw.Gripper((1, 1, 1))
+    exact = controlled_scene(scene, gripper=hand)
+    coarse = controlled_scene(scene, gripper=hand, colliders="coarse")
+    assert exact.model.ngeom - coarse.model.ngeom == 12 - 8
+    assert exact.collider_errors == {} and 0 < coarse.collider_errors["pot"] < 0.02
+    own = [c.model.body("pot") for c in (exact, coarse)]
+    assert own[0].mass == pytest.approx(own[1].mass)
+    assert own[0].inertia == pytest.approx(own[1].inertia)
+    # A ray from above through the middle of the pot meets the floor, not a hull.
+    for c in (exact, coarse):
+        data, hit = mujoco.MjData(c.model), np.zeros(1, np.int32)
+        mujoco.mj_forward(c.model, data)
+        distance = mujoco.mj_ray(c.model, data, [0, 0, 0.5], [0, 0, -1.0], None, 1, -1, hit)
+        assert c.model.geom(hit[0]).name.startswith("floor") and distance > 0.45

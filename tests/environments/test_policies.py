@@ -262,7 +262,14 @@ def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
     told = neoworld("train", file, "--task", TASK, *small, "--json")
     assert told.returncode == 0 and json.loads(told.stdout)["steps"] == 8 * 32
     policy = tmp_path / "policy" / "policy.npz"
+    whole = read_policy(policy).observation_size
     told = neoworld("evaluate", policy, file, "--samples", 0, "--json")
     assert told.returncode == 0 and json.loads(told.stdout)["n"] == 1
     told = neoworld("train", file, "--task", TASK)
     assert told.returncode == 2 and "has a policy: pass --resume" in told.stderr
+    other = [*small, "--without", "block", "--colliders", "coarse", "--out", tmp_path / "other"]
+    told = neoworld("train", file, "--task", TASK, *other)
+    assert told.returncode == 0
+    alone = read_policy(tmp_path / "other" / "policy.npz")
+    assert alone.about.setting.without == ("block",) and alone.observation_size == whole - 7
+    assert len(evaluate(alone, scene, samples=0).success) == 1
