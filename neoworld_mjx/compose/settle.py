@@ -284,10 +284,11 @@ def _drop(
     starts = jax.tree.map(lambda x: np.repeat(x, len(lifted), axis=0), world.poses())
     starts.pos[:, 1], starts.quat[:, 1] = np.split(np.array(lifted), [3], axis=1)
     rested = rest(world, starts, hold=HOLD, free_s=FREE_S)
+    pos, quat = (np.asarray(x)[:, 1] for x in (rested.poses.pos, rested.poses.quat))
     o = RefineOptions()
     moved = np.maximum(rested.drift / o.max_drift_m, rested.tilt / np.radians(o.max_tilt_deg))
     for k in np.flatnonzero(moved[:, 1] < STILL):
-        end = pose(rested.poses.pos[k, 1], rested.poses.quat[k, 1])
+        end = pose(pos[k], quat[k])
         yield end, float(end.apply(center)[2])
 
 
