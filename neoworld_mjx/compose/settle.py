@@ -153,8 +153,8 @@ def _heights(scene: SceneSpec, positions: Float[np.ndarray, "n 2"]) -> Float[np.
     return snapped_heights(arrange(scene), Layout(xy, layout.yaw, layout.log_scale))[:, 1]
 
 
-HOLD = SettleOptions()
-"""Springs under which an object comes down onto its support, and their duration."""
+HOLD = SettleOptions(rate=3.0, duration_s=2.5)
+"""Soft springs, under which an object comes down and may tip and slide, but does not bounce."""
 FREE_S = 0.3
 """Duration of the free fall in which an object must stay at rest [s]."""
 STILL = 0.5
