@@ -110,7 +110,7 @@ def test_a_scene_that_passes_is_compiled_once_and_not_scored(monkeypatch):
     monkeypatch.setattr(scene_refinement, "compile_for_search", None)
     result = refine(scenes.blocks(), options(), engine="native")
     assert result.passed and len(compiled) == 1
-    with pytest.raises(ConfigError, match="refine.optimizer: 'cme' is unknown"):
+    with pytest.raises(ConfigError, match=r"refine\.optimizer: 'cme' is unknown"):
         refine(scenes.blocks(), options().model_copy(update={"optimizer": "cme"}), engine="native")
 
 
