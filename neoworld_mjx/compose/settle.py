@@ -10,17 +10,20 @@ a tube in a rack or a lid of a jar were snapped at its parsed position, it would
 """
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
+import jax
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from ..errors import SpecError
+from ..config import RefineOptions, SettleOptions
 from ..physics.layout import Layout, arrange
-from ..physics.mjcf import body_name, to_mjspec
+from ..physics.mjcf import body_name
+from ..physics.model import CompiledScene, compile_for_simulation
+from ..physics.rest import rest
 from ..physics.sampling import extreme_points
 from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
@@ -150,13 +153,12 @@ def _heights(scene: SceneSpec, positions: Float[np.ndarray, "n 2"]) -> Float[np.
     return snapped_heights(arrange(scene), Layout(xy, layout.yaw, layout.log_scale))[:, 1]
 
 
-FALL_M_S = 0.1
-"""Terminal speed of the fall [m/s]. The drag prevents bouncing and sliding past the resting
-pose."""
-MAX_DURATION_S, TIMESTEP_S, CHECK_INTERVAL_S = 8.0, 0.002, 0.1
-STILL_M_S, CREEP_M_S = 5e-4, 0.003
-"""Speeds of an object's ends [m/s]. Below the first speed, the object is at rest. If it is below
-the second speed at the time limit, only its contacts creep, which never stops on a slope."""
+HOLD = SettleOptions(rate=3.0, duration_s=2.5)
+"""Soft springs, under which an object comes down and may tip and slide, but does not bounce."""
+FREE_S = 0.3
+"""Duration of the free fall in which an object must stay at rest [s]."""
+STILL = 0.5
+"""Largest motion in the free fall, relative to the bounds of the final check."""
 MAX_PENETRATION_M, LIFT_M = 1e-4, 0.002
 MAX_SHIFT, MAX_SHIFT_INSIDE = 0.25, 1.0
 """Largest horizontal shift relative to the object's diagonal, outside and inside a container. It is
@@ -168,14 +170,12 @@ SOLE_M = 0.002
 """Height above an object's lowest point up to which points count as lowest points [m]."""
 SHIFT_COST = 0.2
 """Cost of a horizontal shift of the resting pose, as a height per distance."""
-JOINT_DRAG = 1e6
-"""Drag of joints relative to the drag of the fall. It keeps joints at their parsed positions."""
 
 
 def settle(
     parent: SceneObject, obj: SceneObject, others: Iterable[SceneObject] = ()
 ) -> SceneObject | None:
-    """Settle an object on or in its parent, in a simulation with strong drag.
+    """Settle an object on or in its parent; see `rest`.
 
     At its parsed position, an object in a container may penetrate the container's wall, and would
     settle on the rim. Therefore, it is also dropped with its lowest points nearer to the center,
@@ -197,26 +197,17 @@ def settle(
     """
     as_root = {"parent": None, "parent_link": None, "environment": True, "xy": (0.0, 0.0)}
     base = parent.model_copy(update={**as_root, "z": 0.0, "yaw": 0.0})
-    scene = SceneSpec(name="rest", objects=(base, obj))
-    try:
-        model = to_mjspec(scene, timestep=TIMESTEP_S).compile()
-    except ValueError as error:
-        raise SpecError(f"{obj.name} on {parent.name}: {error}") from None
-    root = model.body(obj.name)
-    dofs = model.jnt_dofadr[int(root.jntadr[0])] + np.arange(6)
+    scene = SceneSpec(name=f"{obj.name}_on_{parent.name}", objects=(base, obj))
+    world = compile_for_simulation(scene)
+    model, root = world.static.mjm, int(world.static.root[1])
     size = float(np.linalg.norm(np.subtract(*bounds(obj.spec, obj.joint_state, obj.base_tilt))))
-    drag = float(root.subtreemass[0]) * float(np.linalg.norm(scene.gravity)) / FALL_M_S
-    model.dof_damping[:] = JOINT_DRAG * drag
-    model.dof_damping[dofs] = np.repeat([drag, drag * (size / 2) ** 2], 3)
     poses = world_poses(scene)
     frame = support_frame(base, poses[base.name], obj.parent_link)
     start = frame.inverse().then(poses[obj.name])
     best, least_cost = None, np.inf
     container = body_name(base, obj.parent_link or base.spec.root)
     parsed_quat = poses[obj.name].quat
-    drops = [
-        (shift, parsed_quat) for shift in _shifts(model, root.id, obj, model.body(container).id)
-    ]
+    drops = [(shift, parsed_quat) for shift in _shifts(model, root, obj, model.body(container).id)]
     tilt = float(angle_between(obj.base_tilt, IDENTITY))
     position = (
         position_inside(parent, obj, others)
@@ -227,11 +218,8 @@ def settle(
         # The object fits into a narrow hole only if it is upright.
         upright = quat_mul(frame.quat, from_yaw(obj.yaw))
         drops.append((rotate(frame.quat, [*np.subtract(position, obj.xy), 0.0])[:2], upright))
-    for shift, quat in drops:
-        end, height = _drop(model, root.id, shift, quat, size)
-        settled = (
-            None if end is None else _settled_object(obj, frame.inverse().then(end), start, size)
-        )
+    for end, height in _drop(world, drops, size):
+        settled = _settled_object(obj, frame.inverse().then(end), start, size)
         if settled is None:
             continue
         # The tilt term penalizes an object that got stuck on the rim.
@@ -274,30 +262,34 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
 
 
 def _drop(
-    model: mujoco.MjModel, body: int, shift: NDArray, quat: NDArray, size: float
-) -> tuple[Pose | None, float]:
-    """Drop a body at a shift and rotation; return its resting pose and center of mass height [m].
+    world: CompiledScene, drops: Sequence[tuple[NDArray, NDArray]], size: float
+) -> Iterator[tuple[Pose, float]]:
+    """Let the second object of a scene come to rest from some shifts and rotations.
 
-    The pose is None if the body does not settle.
+    Yield each pose at which it rests, and the height of its center of mass there [m].
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    joint = model.body_jntadr[body]
-    data.qpos[model.jnt_qposadr[joint] + np.arange(2)] += shift
-    data.qpos[model.jnt_qposadr[joint] + 3 + np.arange(4)] = quat
-    if not _lift_free(model, data, body, size):
-        return None, np.inf
-    dofs = model.jnt_dofadr[joint] + np.arange(6)
-    speed = np.inf
-    for _ in range(round(MAX_DURATION_S / CHECK_INTERVAL_S)):
-        mujoco.mj_step(model, data, round(CHECK_INTERVAL_S / TIMESTEP_S))
-        speed = float((np.abs(data.qvel[dofs]) * np.repeat([1.0, size / 2], 3)).max())
-        if speed < STILL_M_S:
-            break
-    if not speed < CREEP_M_S:
-        return None, np.inf
-    end = pose(data.body(body).xpos, data.body(body).xquat)
-    return end, float(data.body(body).subtree_com[2])
+    model, body = world.static.mjm, int(world.static.root[1])
+    qpos = model.jnt_qposadr[model.body_jntadr[body]] + np.arange(7)
+    data, lifted = mujoco.MjData(model), []
+    for shift, quat in drops:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.qpos[qpos[:2]] += shift
+        data.qpos[qpos[3:]] = quat
+        if _lift_free(model, data, body, size):
+            lifted.append(data.qpos[qpos].copy())
+    if not lifted:
+        return
+    mujoco.mj_forward(model, data)
+    center = pose(data.xpos[body], data.xquat[body]).inverse().apply(data.subtree_com[body])
+    starts = jax.tree.map(lambda x: np.repeat(x, len(lifted), axis=0), world.poses())
+    starts.pos[:, 1], starts.quat[:, 1] = np.split(np.array(lifted), [3], axis=1)
+    rested = rest(world, starts, hold=HOLD, free_s=FREE_S)
+    pos, quat = (np.asarray(x)[:, 1] for x in (rested.poses.pos, rested.poses.quat))
+    o = RefineOptions()
+    moved = np.maximum(rested.drift / o.max_drift_m, rested.tilt / np.radians(o.max_tilt_deg))
+    for k in np.flatnonzero(moved[:, 1] < STILL):
+        end = pose(pos[k], quat[k])
+        yield end, float(end.apply(center)[2])
 
 
 def _settled_object(obj: SceneObject, end: Pose, start: Pose, size: float) -> SceneObject | None:

@@ -269,7 +269,7 @@ def compile_scene(
         arrangement=_at_composed_heights(arrange(scene, reach=reach)),
     )
     environment = np.array([item.environment for item in scene.objects])
-    optimised = ~environment & np.array([item.known != "pose" for item in scene.objects])
+    optimised = is_optimised(scene)
     points = np.stack([surface_samples(o, samples) for o in scene.objects])
     arrays = SceneArrays(
         arrangement=static.arrangement,
@@ -288,6 +288,11 @@ def compile_scene(
         joint_slides=static.joint_slides,
     )
     return SceneModel(**vars(on_device(arrays)), static=static)
+
+
+def is_optimised(scene: SceneSpec) -> Bool[np.ndarray, " object"]:
+    """Return a mask of the objects that a search may move: not supports, and not known poses."""
+    return np.array([not item.environment and item.known != "pose" for item in scene.objects], bool)
 
 
 def _at_composed_heights(a: Arrangement) -> Arrangement:

@@ -99,9 +99,22 @@ def finish(
         scene = snap_exactly(placed)
         measure = measured(scene, o)
         return Finished(scene, measure, passes(measure, o))
-    world = compile_for_simulation(placed)
     start = placed if rest is None else model.scene_at(rest, k, placed)
-    finished = check_settled(world, start, o)
+    return settle_and_check(placed, o, start)
+
+
+def settle_and_check(
+    placed: SceneSpec, o: RefineOptions, start: SceneSpec | None = None
+) -> Finished:
+    """Settle a placed scene in C MuJoCo, and return its final scene with its final check.
+
+    Args:
+        placed: the placed scene, which is compiled once.
+        o: options of settling and of the check.
+        start: the scene where its objects start to settle; by default, where they are placed.
+    """
+    world = compile_for_simulation(placed)
+    finished = check_settled(world, placed if start is None else start, o)
     for _ in range(RELEASES):
         at_rest = finished.measure.model_copy(update={"displacement": None})
         if passes(at_rest, o) or finished.measure.diverged:

@@ -16,7 +16,7 @@ import numpy as np
 from ..config import RefineOptions
 from ..physics.engine import Engine
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.model import SceneModel, is_optimised
 from ..physics.scene_arrays import on_device, pad_axis, pad_objects, pad_scene
 from ..progress import update as update_progress
 from .algorithm import SearchState, converged, init, open_problem, propose, update
@@ -80,6 +80,7 @@ def search(
     *,
     seed: int = 0,
     start: Layout | None = None,
+    initial: Finished | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     scorer: SemanticScorer | None = None,
@@ -99,6 +100,7 @@ def search(
         seed: random seed of the populations.
         start: initial layout, with a population axis of length 1. If None, it is the composed
             scene.
+        initial: the final scene of the initial layout, if it is known.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
         scorer: source of S_sem by a model.
@@ -113,8 +115,11 @@ def search(
     began, clock = time.perf_counter(), {} if clock is None else clock
     clock |= dict.fromkeys(CLOCKS, 0.0) | clock | {"to_valid": float("nan")}
     report = progress or (lambda line: None)
-    result = open_search(scene, o, engine, start, terms, optimizer, scorer is not None, clock)
-    report(_initial_line(scene, result.initial, o))
+    if initial is None:
+        initial = finish(scene, _origin(scene, start), 0, o)
+    by_model = scorer is not None
+    result = open_search(scene, o, engine, initial, start, terms, optimizer, by_model, clock)
+    report(initial_line(initial, o))
     evaluation, total = result.evaluation, o.cem.iterations
 
     def add(number: int, round_: Round) -> bool:
@@ -188,13 +193,14 @@ def open_search(
     scene: SceneModel,
     o: RefineOptions,
     engine: Engine,
+    initial: Finished,
     start: Layout | None,
     terms: Sequence[Term],
     optimizer: Optimizer | None,
     by_model: bool,
     clock: dict[str, float],
 ) -> SearchResult:
-    """Settle and check the initial layout, and decide which objects the search moves.
+    """Decide which objects the search moves, given the final scene of the initial layout.
 
     Objects that rest do not move, unless an object that carries them moves. Where the search starts
     at the composed scene, they are fixed, so that rollouts are faster. With user-defined terms,
@@ -204,8 +210,6 @@ def open_search(
     every = open_terms(o, terms)
     try_terms(scene, every, o)
     own = any(term.fn is not None for term in every)
-    layout = Layout.zero(1, len(scene.names)) if start is None else start
-    initial = finish(scene, layout, 0, o)
     as_given = optimizer is None and not by_model and not own
     searched, rests = scene, initial.rests(o)
     held = rests & (o.cem.hold_resting and as_given)
@@ -215,7 +219,7 @@ def open_search(
     padded = pad_scene(searched)
     use_padded = not own and optimizer is None and o.optimizer in PADDED_OPTIMIZERS
     arrays = padded if use_padded else searched
-    origin = on_device(pad_objects(layout, arrays.count))
+    origin = on_device(pad_objects(_origin(scene, start), arrays.count))
     moves = np.asarray(arrays.optimised) & ~pad_axis(held, arrays.count)
     moving = eqx.tree_at(lambda s: s.optimised, arrays, on_device(moves))
     problem = open_problem(moving, o, origin, terms=terms, optimizer=optimizer)
@@ -223,9 +227,14 @@ def open_search(
     return SearchResult(evaluation, initial, as_given)
 
 
-def _initial_line(scene: SceneModel, initial: Finished, o: RefineOptions) -> str:
-    moving = np.asarray(scene.optimised)
-    failing = [scene.names[k] for k in np.flatnonzero(moving & ~initial.rests(o))]
+def _origin(scene: SceneModel, start: Layout | None) -> Layout:
+    return Layout.zero(1, len(scene.names)) if start is None else start
+
+
+def initial_line(initial: Finished, o: RefineOptions) -> str:
+    """Return how many objects rest in the settled initial layout, and which do not."""
+    moving, objects = is_optimised(initial.scene), initial.scene.objects
+    failing = [objects[k].name for k in np.flatnonzero(moving & ~initial.rests(o))]
     if not failing:
         return f"all {int(moving.sum())} objects rest where they were placed"
     return f"{len(failing)} of {int(moving.sum())} objects do not rest: {', '.join(failing)}"

@@ -15,13 +15,14 @@ from ..measure import SceneMeasure, scene_checks
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine, on_cpu, open_engine
 from ..physics.layout import Layout
-from ..physics.model import SceneModel
+from ..physics.model import SceneModel, is_optimised
 from ..spec import SceneSpec, read_scene
 from .choosing import choose_winner
 from .evaluation import Round, timed
-from .finishing import compile_for_search
-from .loop import Iteration, search
-from .optimizer import Optimizer
+from .finishing import Finished, compile_for_search, settle_and_check
+from .loop import Iteration, initial_line, search
+from .optimizer import Optimizer, optimizer_factory
+from .problem import open_terms
 from .rewards import Term
 from .scorer import ScoreSource, SemanticScorer
 
@@ -97,7 +98,7 @@ class Refined:
         They are those of the candidate in its rollout. The final scene is settled again, with a
         smaller time step, so it is close to the candidate, but not equal to it.
         """
-        if self.winner[0] < 0:
+        if self.winner[0] < 0 or not self.rollouts:
             return {}
         names = ("reward", "valid", *map(str, self.history["term_names"]))
         return {name: float(self.history[name][self.winner]) for name in names}
@@ -166,7 +167,8 @@ def refine(
     """Refine a composed scene (paper Section 3.3, Step 5).
 
     The composed scene is settled under guidance. If the settled scene passes the final check, it is
-    the result. Otherwise the search perturbs the composed scene. It ends after T iterations, or as
+    the result, and unless the scene was given compiled, nothing is compiled for a search or scored.
+    Otherwise the search perturbs the composed scene. It ends after T iterations, or as
     soon as it has converged (see `algorithm.converged`).
 
     The candidates are then ranked: valid ones before all others, and both by reward. The winner is
@@ -201,11 +203,23 @@ def refine(
     if engine is None or isinstance(engine, str):
         engine = _open_engine(engine or o.rollout.engine, o)
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
-        with timed(clock, "compile"):
-            model = open_scene(scene, o)
-        scorer = None
-        if o.semantic.scorer == "mllm" and o.reward.w_sem > 0:
-            scorer = SemanticScorer(model, photo, panel, o.semantic)
+        initial = None
+        by_model = o.semantic.scorer == "mllm" and o.reward.w_sem > 0
+        if not isinstance(scene, SceneModel):
+            scene = open_scene(scene)
+            own = bool(terms or o.reward.terms or optimizer or by_model)
+            if start is None and o.settle.enabled and not own:
+                optimizer_factory(o.optimizer)  # refuses a wrong name
+                with timed(clock, "search"):
+                    initial = settle_and_check(scene, o)
+                if initial.passed:
+                    if progress is not None:
+                        progress(initial_line(initial, o))
+                    return _refined_at_rest(initial, engine, o, clock)
+            with timed(clock, "compile"):
+                scene = compile_for_search(scene, o)
+        model = scene
+        scorer = SemanticScorer(model, photo, panel, o.semantic) if by_model else None
         try:
             result = search(
                 model,
@@ -213,6 +227,7 @@ def refine(
                 engine,
                 seed=seed,
                 start=start,
+                initial=initial,
                 terms=terms,
                 optimizer=optimizer,
                 scorer=scorer,
@@ -260,6 +275,30 @@ def refine(
     )
 
 
+def _refined_at_rest(
+    initial: Finished, engine: Engine, o: RefineOptions, clock: dict[str, float]
+) -> Refined:
+    """Return the result for a composed scene that passes: nothing is compiled for a search."""
+    names = tuple(item.name for item in initial.scene.objects)
+    kept = initial.rests(o) & is_optimised(initial.scene)
+    return Refined(
+        scene=initial.scene,
+        measure=initial.measure,
+        before=initial.measure,
+        layout=Layout.zero(1, len(names)),
+        history=history_of((), open_terms(o), names),
+        engine=engine.name,
+        winner=(0, 0),
+        finalists_tried=0,
+        passed=True,
+        kept=tuple(name for name, at_rest in zip(names, kept, strict=True) if at_rest),
+        mean_log_scale=0.0,
+        seconds={"compile": 0.0, "check": 0.0, **clock, "to_valid": clock["search"]},
+        fallbacks=(),
+        scoring={},
+    )
+
+
 def _open_engine(name: str, o: RefineOptions) -> Engine:
     """Open an engine by its name; `auto` selects the CPU engine if the population is small."""
     return open_engine("native" if name == "auto" and _suits_cores(o) else name)
@@ -270,15 +309,13 @@ def _suits_cores(o: RefineOptions) -> bool:
     return o.cem.population <= MAX_CPU_POPULATION
 
 
-def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOptions) -> SceneModel:
-    """Read and compile a scene for a refinement; return a compiled scene unchanged.
+def open_scene(scene: SceneSpec | Path | str) -> SceneSpec:
+    """Return a scene, read from a file if it is a path.
 
     Raises:
         SpecError: there is no scene at the path.
         TypeError: the scene has another type.
     """
-    if isinstance(scene, SceneModel):
-        return scene
     if isinstance(scene, Path | str):
         scene = read_composed(Path(scene))
     if not isinstance(scene, SceneSpec):
@@ -286,7 +323,7 @@ def open_scene(scene: SceneSpec | SceneModel | Path | str, options: RefineOption
             f"refine takes a SceneSpec, a SceneModel, or the path of a scene.json or run folder, "
             f"got a {type(scene).__name__}"
         )
-    return compile_for_search(scene, options)
+    return scene
 
 
 def read_composed(path: Path) -> SceneSpec:

@@ -61,7 +61,7 @@ def test_draws_have_the_deviations_and_correlations_of_the_estimate(rho):
     given = known(along=0.02, across=0.002, yaw=0.1, log_scale=0.05)
     scene = two(given, given, None if rho is None else correlated(rho))
     draws = draw(compile_for_simulation(scene), np.random.default_rng(0), 4000)
-    xy = draws.layouts.xy[:, 1:]
+    xy = np.asarray(draws.layouts.xy)[:, 1:]
     ahead = np.array([1.0, 0.1]) / np.hypot(1.0, 0.1)
     along, across = xy[:, 0] @ ahead, xy[:, 0] @ [-ahead[1], ahead[0]]
     assert along.std() == pytest.approx(0.02, rel=0.05)
@@ -288,7 +288,8 @@ def test_each_draw_has_its_camera_if_the_camera_is_uncertain():
     deviations = {"camera": (0.02, 0.0, 0.05, 0.0)}
     correlation = correlated(0.0).model_copy(update=deviations)
     samples = nw.sample(scene.model_copy(update={"correlation": correlation}), 32, options=OPTIONS)
-    cameras = [samples.scene(k).camera for k in range(32)]
+    cameras = [camera for k in range(32) if (camera := samples.scene(k).camera)]
+    assert len(cameras) == 32
     assert np.std([c.pitch for c in cameras]) == pytest.approx(0.02, rel=0.4)
     assert np.std([np.log(c.focal) for c in cameras]) == pytest.approx(0.05, rel=0.4)
     assert {c.roll for c in cameras} == {0.0}
@@ -301,7 +302,7 @@ def test_a_focal_length_moves_the_camera_by_the_depth_of_the_aligned_scene():
     correlation = correlated(0.0).model_copy(update={"camera": (0.0, 0.0, 0.1, 0.0)})
     update = {"objects": tuple(objects), "correlation": correlation}
     samples = nw.sample(scene.model_copy(update=update), 12, options=OPTIONS, redraws=0)
-    assert np.std([np.log(c.focal) for c in samples.cameras]) > 0.05
+    assert np.std([np.log(c.focal) for c in samples.cameras if c]) > 0.05
     assert samples.shift_px.max() < 4.0
 
 
@@ -333,7 +334,8 @@ def test_the_code_of_the_page_runs(tmp_path, monkeypatch, capsys):
     exec(code.replace("64", "8"), {})
     printed = capsys.readouterr().out
     assert "stands in 8 of 8" in printed
-    low, high = map(float, re.search(r"interval (\S+) to (\S+) mm", printed).groups())
+    ((low, high),) = re.findall(r"interval (\S+) to (\S+) mm", printed)
+    low, high = float(low), float(high)
     assert 120 < low < high < 160
 
 

@@ -4,15 +4,17 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions, SettleOptions
+from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.search import refine
+from neoworld_mjx.search import refine, scene_refinement
 from neoworld_mjx.spec import Box, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
@@ -95,8 +97,21 @@ def test_overlapping_objects_come_apart_without_a_search():
     scene = clashing()
     assert scene_measure(scene, duration=0.1).max_depth_m > 0.005
     result = refine(scene, options(), engine="native")
-    assert result.passed and result.rollouts == 1 and result.winner == (0, 0)
+    assert result.passed and result.rollouts == 0 and result.winner == (0, 0)
     assert result.measure.max_depth_m < 1e-3
+
+
+def test_a_scene_that_passes_is_compiled_once_and_not_scored(monkeypatch):
+    compiled = []
+    original = mujoco.MjSpec.compile
+    monkeypatch.setattr(
+        mujoco.MjSpec, "compile", lambda spec: compiled.append(spec) or original(spec)
+    )
+    monkeypatch.setattr(scene_refinement, "compile_for_search", None)
+    result = refine(scenes.blocks(), options(), engine="native")
+    assert result.passed and len(compiled) == 1
+    with pytest.raises(ConfigError, match=r"refine\.optimizer: 'cme' is unknown"):
+        refine(scenes.blocks(), options().model_copy(update={"optimizer": "cme"}), engine="native")
 
 
 @pytest.mark.parametrize("scene", [scenes.blocks(), scenes.furnished()], ids=["blocks", "cabinet"])
@@ -104,7 +119,7 @@ def test_a_scene_that_passes_needs_no_iteration(scene):
     lines = []
     o = options(32, 4).model_copy(update={"check_duration_s": 2.0})
     result = refine(scene, o, engine="native", progress=lines.append)
-    assert result.passed and result.iterations == 0 and result.rollouts == 1
+    assert result.passed and result.iterations == 0 and result.rollouts == 0 and not result.scores
     assert result.winner == (0, 0) and result.finalists_tried == 0
     assert isinstance(result.layout, Layout)
     assert not any(np.asarray(leaf).any() for leaf in (result.layout.xy, result.layout.yaw))
@@ -181,7 +196,7 @@ def test_a_tilt_that_no_layout_can_change_settles_unless_disabled():
     never = refine(leaning(), unsettled(16, 2), seed=1, engine="native")
     assert not never.passed and never.measure.max_tilt_deg > 5
     settled = refine(leaning(), options(16, 2), seed=1, engine="native")
-    assert settled.passed and settled.rollouts == 1
+    assert settled.passed and settled.rollouts == 0
     _, x, y, _ = settled.scene.object("slab").base_tilt
     assert math.hypot(x, y) < 1e-3 and set(settled.kept) == {"slab", "block"}
 

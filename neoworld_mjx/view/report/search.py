@@ -33,7 +33,7 @@ def convergence(path: Path) -> Markup:
         note = f"refine/history.npz cannot be read: {error}"
         return elements.section(TITLE, elements.missing(note))
     reward = history["reward"]
-    if len(reward) == 1:
+    if len(reward) <= 1:
         note = "The composed scene was accepted; no search was needed."
         return elements.section(TITLE, elements.paragraph(note))
     names = [str(name) for name in history["term_names"]]
