@@ -321,7 +321,7 @@ def prior_precision(
     Args:
         unknowns: the unknowns.
         now: the placement at `x`.
-        x: values of the unknowns.
+        x: values of the unknowns, relative to the mean of the prior.
         deviations: standard deviations of the camera's unknowns.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)

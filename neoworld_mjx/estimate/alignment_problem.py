@@ -213,10 +213,13 @@ class AlignmentProblem:
         depth = None
         if self.evidence.depth is not None:
             depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
+        # The deviations of a measured camera are about the measured one, not the composed one.
+        mean = self.camera_start()
         equations = NormalEquations(
             unknowns,
-            prior_precision(unknowns, now, x, self.camera_deviations()),
+            prior_precision(unknowns, now, x - mean, self.camera_deviations()),
             x,
+            mean=mean,
             global_count=0 if depth is None else depth.global_count,
         )
         if self.edges is not None:

@@ -337,6 +337,7 @@ class NormalEquations:
         prior: Float[np.ndarray, "v v"],
         x: Float[np.ndarray, " u"],
         *,
+        mean: Float[np.ndarray, " u"],
         global_count: int = 0,
     ):
         """Start from the prior's precision matrix, at the values `x` of the unknowns.
@@ -345,6 +346,7 @@ class NormalEquations:
             unknowns: the unknowns.
             prior: precision of all unknowns and stretches.
             x: values of the unknowns.
+            mean: mean of the prior.
             global_count: number of unknowns of the depth image, which follow the stretches.
         """
         self._unknowns, self._x = unknowns, x
@@ -353,7 +355,7 @@ class NormalEquations:
             ends = np.arange(len(prior) - global_count, len(prior))
             prior[ends, ends] = GLOBAL_PRECISION
         self._prior, self._precision = prior, prior.copy()
-        self._gradient = -prior[:, : unknowns.size] @ x
+        self._gradient = -prior[:, : unknowns.size] @ (x - mean)
         self._blocks: dict[Source, dict[int, _Block]] = {"contour": {}, "depth": {}}
         self._boxes: set[int] = set()
         self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))), np.zeros(0))

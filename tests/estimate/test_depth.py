@@ -134,6 +134,18 @@ def test_plane_of_the_support_gives_pitch_roll_and_height(five):
     assert plane.height == pytest.approx(camera.height, abs=0.004)
 
 
+def test_the_plane_turns_a_misjudged_camera(five, photo):
+    """The plane's deviations are about the measured camera, not about the composed one."""
+    tilted = {"pitch": desk.CAMERA.pitch + 0.03, "height": 1.05 * desk.CAMERA.height}
+    camera = desk.CAMERA.model_copy(update=tilted)
+    single = tuple(item for item in five.objects if item.parent is None or item.name == "tower")
+    misjudged = five.model_copy(update={"camera": camera, "objects": single})
+    evidence = Evidence(camera=KNOWN, depth=DepthImage(noisy(five)))
+    found = align(misjudged, photo, evidence=evidence).scene.camera
+    assert found.pitch == pytest.approx(desk.CAMERA.pitch, abs=math.radians(0.1))
+    assert found.height == pytest.approx(desk.CAMERA.height, rel=0.005)
+
+
 def test_no_plane_without_a_level_support(five):
     """A depth image of a wall in front of the camera."""
     wall = np.full((480, 640), 0.7)

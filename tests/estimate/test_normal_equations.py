@@ -42,7 +42,7 @@ class Linearized:
     def equations(self):
         deviations = camera_deviations((), {}, misjudged=False)
         prior = prior_precision(self.unknowns, self.now, self.x, deviations)
-        return NormalEquations(self.unknowns, prior, self.x)
+        return NormalEquations(self.unknowns, prior, self.x, mean=np.zeros_like(self.x))
 
 
 @pytest.fixture(scope="module")

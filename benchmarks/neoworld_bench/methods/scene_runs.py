@@ -17,6 +17,7 @@ from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
 from ..dataset.declaration import declaration, declarations
 from ..dataset.truth_scene import photographed
+from ..noise.known_evidence import kinds_of
 from ..noise.parse_noise import NoiseLog
 from ..rows import RowStore
 from .layout_errors import camera_errors, layout_errors, validity
@@ -25,6 +26,8 @@ from .scene_methods import MethodResult, check_methods
 from .stated_deviations import stated_deviations
 from .submission import submission_name, submitted
 
+KNOWN_PLACE = {"depth", "pose"}
+"""Kinds of evidence with which deviations are about places in the world."""
 NEAR_M = 0.01
 """Distance in the camera's frame up to which an object counts in `within_10mm` [m]."""
 P_PEN_M = 1e-3
@@ -268,7 +271,9 @@ def _row(
         max_drift_m=min(m.max_drift_m, 1e6),
         max_tilt_deg=min(m.max_tilt_deg, 1e6),
         camera_error_m=float(np.mean(distance)),
-        deviations=stated_deviations(result.scene, truth, measured="depth" in job.evidence),
+        deviations=stated_deviations(
+            result.scene, truth, measured=not KNOWN_PLACE.isdisjoint(kinds_of(job.evidence))
+        ),
         within_10mm=float(np.mean(distance <= NEAR_M)),
         box_iou=_box_iou(result.scene, truth),
         seconds_to_valid=result.seconds_to_result if verdict.valid else None,

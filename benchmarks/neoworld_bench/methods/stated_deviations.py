@@ -18,7 +18,7 @@ def stated_deviations(
     Args:
         scene: a scene whose objects have uncertainties; those without do not count.
         truth: the ground truth, seen by a camera above the same origin.
-        measured: True if a depth image was given; see `object_errors`.
+        measured: True if a depth image or the camera's pose was given; see `object_errors`.
 
     Returns:
         Errors by quantity: along, across, yaw and log_scale, as in `PoseUncertainty`.
@@ -41,8 +41,8 @@ def object_errors(
     Args:
         scene: the aligned scene.
         truth: the ground truth, seen by a camera above the same origin.
-        absolute: if True, positions on fixed supports are those in the world. A depth image
-            measures objects, and not where a table ends.
+        absolute: if True, positions on fixed supports are those in the world. A depth image, or a
+            known camera, measures objects, and not where a table ends.
     """
     ends, begins = world_poses(scene), world_poses(truth)
     true = {item.name: item for item in truth.objects}
