@@ -31,6 +31,7 @@ from .predicates import (
     Located,
     Predicate,
     Reached,
+    leaves,
 )
 
 HORIZON = 250
@@ -444,10 +445,9 @@ def upright(scene: SceneSpec, name: str) -> Task:
 
 def every(*tasks: Task) -> Task:
     """Return the task of reaching several goals in one scene; the tool works on the first point."""
-    goals = [task.goal for task in tasks]
-    leaves = [leaf for goal in goals for leaf in (goal.of if isinstance(goal, Every) else (goal,))]
+    parts = [leaf for task in tasks for leaf in leaves(task.goal)]
     words = ", then ".join(task.instruction for task in tasks)
-    return replace(tasks[0], goal=Every(of=tuple(leaves)), instruction=words)
+    return replace(tasks[0], goal=Every(of=tuple(parts)), instruction=words)
 
 
 Kind = Literal[

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -15,7 +16,8 @@ from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .mjx_environment import MjxEnv
 from .policy import Policy
-from .policy_environment import PolicyEnv, policy_action, policy_observation
+from .policy_environment import PolicyEnv, TaskState, policy_action, policy_observation
+from .randomization import Variants
 from .task import SceneTask
 from .training import scene_variants, task_scene
 
@@ -80,26 +82,38 @@ def evaluate(
         SpecError: the policy does not fit the scene, or no draw is kept.
     """
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    setting = policy.about.setting
-    task = task_scene(scene, setting)
+    task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
+    ends = run_policy(policy, task, variants)
+    lost = np.asarray(ends.env.done) > 0
+    success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
+    progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
+    return Trials(success, progress, samples)
+
+
+def run_policy(policy: Policy, task: SceneTask, variants: Variants | None) -> TaskState:
+    """Return the states at the end of one episode in each variant, or in the scene itself.
+
+    Raises:
+        SpecError: the policy does not fit the scene.
+    """
+    setting = policy.about.setting
     env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
     policy_env = PolicyEnv(env, task, setting.horizon)
-    count = 1 if variants is None else len(variants)
     if variants is None:
-        states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(seed), 1))
+        states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:
-        states = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(count))
+        states = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
     check_fit(policy, states.obs.shape[-1], policy_env.action_size)
     step = jax.jit(jax.vmap(policy_env.step))
-    lost = np.zeros(count, bool)
     for _ in range(setting.horizon):
+        before = states
         action = policy.act(np.asarray(states.obs)).astype(np.float32)
         states = step(states, jnp.asarray(action))
-        lost |= np.asarray(states.done) > 0
-    success = (np.asarray(states.metrics["success"]) > 0) & ~lost
-    progress = np.where(lost, 0.0, np.asarray(states.metrics["progress"]))
-    return Trials(success, progress, samples)
+        # A world that has diverged stays so.
+        done = jnp.maximum(states.env.done, before.env.done)
+        states = eqx.tree_at(lambda s: s.env.done, states, done)
+    return states
 
 
 def check_fit(policy: Policy, observations: int, actions: int) -> None:
