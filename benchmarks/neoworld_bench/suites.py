@@ -159,6 +159,44 @@ class Plans(GivenEvidence, ModelRequests):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Policies(NoisyRuns):
+    """Train policies of a flying gripper in reconstructions of manipulation tasks, and run them in
+    the ground truth, beside the open-loop plan of the same reconstruction.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks. By default --each of opening, closing, pushing and placement are drawn."""
+    each: int = 2
+    """Tasks of each kind: the first in an order shuffled by seed 0."""
+    trained_in: tuple[Literal["plan", "scene", "mean", "truth"], ...] = (
+        *("plan", "scene", "mean", "truth"),
+    )
+    """Where policies are trained. scene: in draws of the reconstruction; mean: in the
+    reconstruction alone, without randomization; truth: in the ground truth with draws of its
+    physics. plan is the open-loop plan instead."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes, as in `bench run tasks`."""
+    starts: int = 1
+    """Initial scenes of each task."""
+    workers: int = 1
+    """Processes; each trains one task after another on all cores."""
+    steps: int = 4_000_000
+    """Control steps of each training."""
+    minutes: float | None = None
+    """Largest duration of each training, without compiling."""
+    worlds: int | None = None
+    """Worlds of a training."""
+    draws: int = 64
+    """Draws of a scene in training."""
+    samples: int = 256
+    """Draws in which policies are run; from seeds other than those of training."""
+    engine: Literal["native", "warp"] = "native"
+    """Engine of training; policies are run by C MuJoCo."""
+    keep: Path | None = None
+    """Folder in which the policies are kept; by default, they are deleted after the run."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Coverage(GivenEvidence):
     """Count the 90 % intervals of aligned objects that hold the truth, over rendered scenes with
     all errors of responses. Half an hour on two cores.
@@ -247,6 +285,7 @@ SUITES = {
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
         ("plans", Plans, True),
+        ("policies", Policies, True),
         ("coverage", Coverage, False),
         ("rescue", Rescues, False),
         ("engines", Engines, False),

@@ -1,6 +1,7 @@
 """Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .mjx_environment import MjxEnv
-from .policy import Policy
+from .policy import Policy, Setting
 from .policy_environment import PolicyEnv, TaskState, policy_action, policy_observation
 from .randomization import Variants
 from .task import SceneTask
@@ -84,36 +85,42 @@ def evaluate(
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
-    ends = run_policy(policy, task, variants)
+    ends = episodes(task, policy.about.setting, variants)(policy)
     lost = np.asarray(ends.env.done) > 0
     success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
     progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
     return Trials(success, progress, samples)
 
 
-def run_policy(policy: Policy, task: SceneTask, variants: Variants | None) -> TaskState:
-    """Return the states at the end of one episode in each variant, or in the scene itself.
+def episodes(
+    task: SceneTask, setting: Setting, variants: Variants | None
+) -> Callable[[Policy], TaskState]:
+    """Return a function that runs a policy once in each variant, or in the scene itself.
 
-    Raises:
-        SpecError: the policy does not fit the scene.
+    It returns the states at the ends of the episodes, and raises SpecError if the policy does not
+    fit the scene. It compiles once for all policies.
     """
-    setting = policy.about.setting
     env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
     policy_env = PolicyEnv(env, task, setting.horizon)
     if variants is None:
-        states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
+        start = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:
-        states = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
-    check_fit(policy, states.obs.shape[-1], policy_env.action_size)
+        start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
     step = jax.jit(jax.vmap(policy_env.step))
-    for _ in range(setting.horizon):
-        before = states
-        action = policy.act(np.asarray(states.obs)).astype(np.float32)
-        states = step(states, jnp.asarray(action))
-        # A world that has diverged stays so.
-        done = jnp.maximum(states.env.done, before.env.done)
-        states = eqx.tree_at(lambda s: s.env.done, states, done)
-    return states
+
+    def ends(policy: Policy) -> TaskState:
+        check_fit(policy, start.obs.shape[-1], policy_env.action_size)
+        states = start
+        for _ in range(setting.horizon):
+            before = states
+            action = policy.act(np.asarray(states.obs)).astype(np.float32)
+            states = step(states, jnp.asarray(action))
+            # A world that has diverged stays so.
+            done = jnp.maximum(states.env.done, before.env.done)
+            states = eqx.tree_at(lambda s: s.env.done, states, done)
+        return states
+
+    return ends
 
 
 def check_fit(policy: Policy, observations: int, actions: int) -> None:
