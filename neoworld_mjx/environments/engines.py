@@ -7,6 +7,7 @@ reset, gathered and stored like any arrays.
 import contextlib
 import copy
 import io
+import os
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -66,7 +67,9 @@ class NativeSteps:
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, threads: int = 0) -> None:
-        """Use `threads` threads; 0 uses all cores."""
+        """Use `threads` threads; 0 uses all cores that the process may use."""
+        if threads == 0 and hasattr(os, "sched_getaffinity"):
+            threads = len(os.sched_getaffinity(0))
         self.model, self._threads = model, threads
         self._batches: dict[int, Batch] = {}
 

@@ -98,11 +98,14 @@ class MjxEnv:
         """Start an episode in one of the variants. JAX can trace this method."""
         if self._variants is None:
             raise SpecError("the environment has no variants")
-        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row})
+        ctrl = self._variants.ctrl
+        ctrl = self.controlled.initial_ctrl if ctrl is None else jnp.asarray(ctrl)[row]
+        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row}, ctrl)
 
-    def _start(self, qpos: Array, own: dict[str, Array]) -> EnvState:
+    def _start(self, qpos: Array, own: dict[str, Array], ctrl: Any = None) -> EnvState:
         info = {"step": jnp.zeros((), jnp.int32), **own}
-        start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
+        ctrl = self.controlled.initial_ctrl if ctrl is None else ctrl
+        start = initial_world(self.controlled.model, qpos, ctrl)
         world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
         return self._state(world, world, jnp.zeros(self.action_size), info)
 

@@ -25,6 +25,7 @@ from .policy import About, Policy, Setting
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
 from .samples import sample
+from .scripted_motion import arm_script
 from .task import SceneTask
 from .task_words import task_of
 
@@ -119,9 +120,13 @@ def train(
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     task = task_scene(scene, setting, mjx=(t.engine or choose_engine()) == "mjx")
     variants = scene_variants(task.controlled, t.samples, t.seed)
+    script = None
+    if setting.robot is not None and setting.mount is not None:
+        script = arm_script(task, setting.robot, setting.mount)
     return train_task(
-        task, setting, out, variants=variants, training=t, options=options, resume=resume
-    )
+        task, setting, out, variants=variants, script=script, training=t, options=options,
+        resume=resume,
+    )  # fmt: skip
 
 
 def train_task(

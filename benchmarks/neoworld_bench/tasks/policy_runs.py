@@ -41,7 +41,7 @@ from ..rows import Row
 from .catalogue import all_tasks, find_task
 from .execution import START_DEPTH_M, judge
 from .plan_format import TaskPlan
-from .policy_tasks import gripper_at, gripper_task, plan_script, policy_task
+from .policy_tasks import gripper_at, gripper_task, plan_script, policy_task, with_start_noise
 from .success_runs import common_offset, described, planned_there
 from .task import ManipulationTask, TaskKind
 from .task_scenes import photographed_task
@@ -177,7 +177,7 @@ def _trained(
     drawn = None
     if method != "mean":
         draws = sample(inside, o.training.samples, seed=o.training.seed, sizes=False)
-        drawn = variants_of(learned.controlled, draws)
+        drawn = with_start_noise(learned, variants_of(learned.controlled, draws), o.training.seed)
     options = default_options(o.training.engine or "native")
     if o.worlds is not None:
         options = replace(options, worlds=o.worlds)

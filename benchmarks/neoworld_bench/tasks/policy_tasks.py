@@ -4,6 +4,8 @@ All of it comes from the reference plan in the same scene, so a policy that is t
 reconstruction knows nothing of the ground truth.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -14,8 +16,9 @@ from neoworld_mjx.environments.arm import SceneState
 from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.policy_environment import Script
 from neoworld_mjx.environments.predicates import JointBetween, Predicate
+from neoworld_mjx.environments.randomization import Variants
 from neoworld_mjx.environments.task import SceneTask, StateView, Task, WorkPoint
-from neoworld_mjx.physics.gripper import Gripper
+from neoworld_mjx.physics.gripper import PREFIX, Gripper
 from neoworld_mjx.spec import SceneSpec, link_poses, world_poses
 
 from .execution import CONTROL_S, plan_path
@@ -25,6 +28,9 @@ from .world import in_start_axes
 
 AWAY_M = 0.06
 """Distance of the gripper's start behind that of the plan, against its approach [m]."""
+START_M = (0.03, 0.03, 0.015)
+"""Standard deviation of the gripper's start in training [m], because a robot's frame and the
+reconstruction's differ by about as much."""
 PACE = 1.5
 """Speed of the script, relative to the plan."""
 
@@ -65,6 +71,17 @@ def gripper_at(plan: TaskPlan, by: NDArray) -> Gripper:
 def gripper_task(task: Task, gripper: Gripper) -> SceneTask:
     """Return a task with a flying gripper."""
     return task.on(controlled_scene(task.scene, gripper=gripper))
+
+
+def with_start_noise(task: SceneTask, variants: Variants, seed: int) -> Variants:
+    """Return variants in which the gripper starts elsewhere, by normal noise of `START_M`."""
+    model = task.controlled.model
+    noise = np.random.default_rng(seed).normal(0.0, START_M, (len(variants), 3))
+    qpos, ctrl = variants.qpos.copy(), np.tile(task.controlled.initial_ctrl, (len(variants), 1))
+    for k, axis in enumerate("xyz"):
+        qpos[:, model.joint(f"{PREFIX}-{axis}").qposadr[0]] += noise[:, k]
+        ctrl[:, model.actuator(f"{PREFIX}-{axis}").id] += noise[:, k]
+    return replace(variants, qpos=qpos.astype(np.float32), ctrl=ctrl.astype(np.float32))
 
 
 def plan_script(task: SceneTask, plan: TaskPlan, control_s: float) -> Script:
