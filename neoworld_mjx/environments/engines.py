@@ -215,17 +215,6 @@ def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEng
     raise EngineError(f"engine: {choices(engine, sorted(ENGINES))}")
 
 
-def choose_engine() -> str:
-    """Return the fastest engine here: native without an accelerator, else warp or mjx."""
-    if jax.default_backend() == "cpu":
-        return "native"
-    try:
-        warp_device()
-    except EngineError:
-        return "mjx"
-    return "warp"
-
-
 PROBE_STEPS, PROBE_ACTIONS = 400, 8
 
 

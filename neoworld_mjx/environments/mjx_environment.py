@@ -14,11 +14,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..errors import SpecError
+from ..physics.engine import open_engine
 from ..physics.gripper import Gripper
 from ..spec import SceneSpec
 from .arm import Control, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, controlled_scene
-from .engines import WorldState, choose_engine, initial_world, open_steps
+from .engines import WorldState, initial_world, open_steps
 from .randomization import Variants
 from .robots import Mount, Robot
 
@@ -68,7 +69,7 @@ class MjxEnv:
         self._noise, self._variants = noise or ResetNoise(), variants
         if variants is not None and self._noise != ResetNoise():
             raise SpecError("an environment takes samples or noise, not both")
-        self.steps = open_steps(controlled, engine or choose_engine(), worlds)
+        self.steps = open_steps(controlled, engine or open_engine().name, worlds)
         self.control_s = control_s
         self.n_substeps = max(round(control_s / controlled.model.opt.timestep), 1)
 
@@ -203,7 +204,7 @@ def mjx_env(
         SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
-    name = engine or choose_engine()
+    name = engine or open_engine().name
     controlled = controlled_scene(
         run,
         gripper=gripper,

@@ -15,11 +15,11 @@ import numpy as np
 from ..errors import SpecError
 from ..io.binary_files import read_arrays
 from ..io.files import content_hash, write_output
+from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
 from .controlled_scene import ControlledScene, controlled_scene
-from .engines import choose_engine
 from .mjx_environment import MjxEnv
 from .policy import About, Policy, Setting
 from .policy_environment import PolicyEnv, Script
@@ -118,7 +118,7 @@ def train(
     """
     t = training or Training()
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    task = task_scene(scene, setting, mjx=(t.engine or choose_engine()) == "mjx")
+    task = task_scene(scene, setting, mjx=(t.engine or open_engine().name) == "mjx")
     variants = scene_variants(task.controlled, t.samples, t.seed)
     script = None
     if setting.robot is not None and setting.mount is not None:
@@ -157,7 +157,7 @@ def train_task(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SpecError(f"cannot write to {out}: {error.strerror}") from None
-    engine = t.engine or choose_engine()
+    engine = t.engine or open_engine().name
     o = options or default_options(engine)
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(

@@ -1,5 +1,6 @@
 """Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -144,7 +145,7 @@ def episode(
     data.ctrl[:] = controlled.initial_ctrl
     mujoco.mj_forward(model, data)
     steps = max(round(setting.control_s / model.opt.timestep), 1)
-    frames = [_copied(model, data)]
+    frames = [copy.copy(data)]
     for _ in range(setting.horizon):
         state = scene_state(data)
         obs = policy_observation(task, state, np)
@@ -154,12 +155,5 @@ def episode(
         data.ctrl[:] = controlled.controls(np.asarray(action, np.float32), state)
         mujoco.mj_step(model, data, steps)
         mujoco.mj_kinematics(model, data)
-        frames.append(_copied(model, data))
+        frames.append(copy.copy(data))
     return frames
-
-
-def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    copied = mujoco.MjData(model)
-    copied.qpos[:] = data.qpos
-    mujoco.mj_forward(model, copied)
-    return copied

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -127,7 +128,7 @@ def policy_rows(o: PolicyTraining, job: MethodJob) -> Iterator[PolicyRow]:
     """Train and run the policies of a job, and yield a row for each; exceptions are failures."""
     task, errors = find_task(job.subject), NoiseLog()
 
-    def row(method: str, **fields: object) -> PolicyRow:
+    def row(method: str, **fields: Any) -> PolicyRow:
         columns = job.columns(method, errors)
         return PolicyRow(**columns, task=task.name, kind=task.kind, rollouts=0, **fields)
 
