@@ -34,10 +34,13 @@ def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Scri
     before, at, *onward = reach.path
     closes, goal = task.task.point.grasp, task.task.goal
     grip = -1.0 if closes else 0.0
-    rows = _way([before, at], 1.0 if closes else grip) + [(at, grip)] * WAIT
+    opened = 1.0 if closes else grip
+    # The tool lags behind, so it waits before the fingers move.
+    rows = _way([before, at], opened) + [(at, opened)] * WAIT + [(at, grip)] * WAIT
     if onward and isinstance(goal, Located) and goal.released and closes:
         high = [Pose(p.pos + (0.0, 0.0, CLEAR_M), p.quat) for p in (at, onward[-1])]
-        rows += _way([at, *high, onward[-1]], grip) + [(onward[-1], 1.0)] * WAIT
+        rows += _way([at, *high, onward[-1]], grip) + [(onward[-1], grip)] * WAIT
+        rows += [(onward[-1], 1.0)] * WAIT
         rows += _way([onward[-1], high[-1]], 1.0)
     else:
         rows += _way([at, *onward], grip) + [((onward or [at])[-1], grip)] * WAIT
