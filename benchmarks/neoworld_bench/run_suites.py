@@ -5,6 +5,8 @@ Rows are kept as they come, and an interrupted run continues: see `rows`. Every 
 """
 
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from neoworld_mjx.config import Config
@@ -58,6 +60,42 @@ def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
         plan = partial(plan_rows, models, methods=o.method, starts=o.starts, settings=settings)
         rows = store.all({task.name: partial(plan, task) for task in tasks})
     return {**plan_figures(rows), "rows": plain(rows)}
+
+
+def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
+    """Train policies in reconstructions, and run them in the ground truth."""
+    from neoworld_mjx.environments.policy import Setting
+    from neoworld_mjx.environments.training import Training
+
+    from .methods.method_runs import run_jobs, run_settings
+    from .tables.policy_figures import policy_summary
+    from .tasks.catalogue import find_tasks
+    from .tasks.policy_runs import (
+        SNAPSHOTS,
+        PolicyRow,
+        PolicyTraining,
+        drawn_tasks,
+        policy_rows,
+    )
+
+    settings = run_settings(o, config, o.evidence)
+    names = [task.name for task in find_tasks(o.task or drawn_tasks(o.each))]
+    training = Training(o.steps, o.minutes, o.draws, o.seed, o.engine, snapshots=SNAPSHOTS)
+    with kept_rows(o, config) as store, TemporaryDirectory() as scratch:
+        folder = o.keep or (store.folder or Path(scratch)) / "policies"
+        work = partial(
+            policy_rows, PolicyTraining(training, o.worlds, o.samples, Setting(task="."), folder)
+        )
+        rows = run_jobs(
+            work,
+            PolicyRow,
+            starts={name: range(o.starts) for name in names},
+            methods=o.trained_in,
+            settings=settings,
+            place=o.place,
+            store=store,
+        )
+    return {**policy_summary(rows), "rows": plain(rows)}
 
 
 def run_rescue(o: suites.Rescues) -> dict[str, Any]:

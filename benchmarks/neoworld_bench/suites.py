@@ -153,6 +153,44 @@ class Plans(ModelRequests):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Policies(NoisyRuns):
+    """Train policies of a flying gripper in reconstructions of manipulation tasks, and run them in
+    the ground truth, beside the open-loop plan of the same reconstruction.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks. By default --each of opening, closing, pushing and placement are drawn."""
+    each: int = 2
+    """Tasks of each kind: the first in an order shuffled by seed 0."""
+    trained_in: tuple[Literal["plan", "scene", "mean", "truth"], ...] = (
+        *("plan", "scene", "mean", "truth"),
+    )
+    """Where policies are trained. scene: in draws of the reconstruction; mean: in the
+    reconstruction alone, without randomization; truth: in the ground truth with draws of its
+    physics. plan is the open-loop plan instead."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes, as in `bench run tasks`."""
+    starts: int = 1
+    """Initial scenes of each task."""
+    workers: int = 1
+    """Processes; each trains one task after another on all cores."""
+    steps: int = 4_000_000
+    """Control steps of each training."""
+    minutes: float | None = None
+    """Largest duration of each training, without compiling."""
+    worlds: int | None = None
+    """Worlds of a training."""
+    draws: int = 64
+    """Draws of a scene in training."""
+    samples: int = 256
+    """Draws in which policies are run; from seeds other than those of training."""
+    engine: Literal["native", "warp"] = "native"
+    """Engine of training; policies are run by C MuJoCo."""
+    keep: Path | None = None
+    """Folder in which the policies are kept; by default, they are deleted after the run."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rescues:
     """Rescue generated scenes of meshes whose objects have wrong sizes (up to 10 %), are 2 cm too
     low and tilted by 5 degrees, and compare the results with the undisturbed scenes.
@@ -245,6 +283,7 @@ SUITES = {
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
         ("plans", Plans, True),
+        ("policies", Policies, True),
         ("rescue", Rescues, False),
         ("engines", Engines, False),
         ("examples", Examples, True),

@@ -57,9 +57,9 @@ class TrainCommand(Command):
         """Train."""
         from dataclasses import replace
 
-        from ..environments.engines import choose_engine
         from ..environments.training import CURVE, POLICY, Training, default_options, train
         from ..errors import RunError
+        from ..physics.engine import open_engine
         from ..spec import read_scene
 
         scene = read_scene(self.target)
@@ -67,7 +67,7 @@ class TrainCommand(Command):
         out = self.out or folder / "policy"
         if not self.resume and (out / POLICY).exists():
             raise RunError(f"{out} has a policy: pass --resume, or name another folder with --out")
-        engine = self.engine or choose_engine()
+        engine = self.engine or open_engine().name
         options = default_options(engine)
         if self.worlds is not None:
             options = replace(options, worlds=self.worlds)

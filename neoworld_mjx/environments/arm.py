@@ -182,7 +182,7 @@ class Arm:
         state: SceneState,
         pos: Any,
         quat: Any,
-        grip: float,
+        grip: Any,
         xp: Any = np,
         *,
         limit: float = 1.0,

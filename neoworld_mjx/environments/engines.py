@@ -7,6 +7,7 @@ reset, gathered and stored like any arrays.
 import contextlib
 import copy
 import io
+import os
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -66,7 +67,9 @@ class NativeSteps:
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, threads: int = 0) -> None:
-        """Use `threads` threads; 0 uses all cores."""
+        """Use `threads` threads; 0 uses all cores that the process may use."""
+        if threads == 0 and hasattr(os, "sched_getaffinity"):
+            threads = len(os.sched_getaffinity(0))
         self.model, self._threads = model, threads
         self._batches: dict[int, Batch] = {}
 
@@ -210,17 +213,6 @@ def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEng
     if engine == "mjx":
         return MjxSteps(controlled)
     raise EngineError(f"engine: {choices(engine, sorted(ENGINES))}")
-
-
-def choose_engine() -> str:
-    """Return the fastest engine here: native without an accelerator, else warp or mjx."""
-    if jax.default_backend() == "cpu":
-        return "native"
-    try:
-        warp_device()
-    except EngineError:
-        return "mjx"
-    return "warp"
 
 
 PROBE_STEPS, PROBE_ACTIONS = 400, 8

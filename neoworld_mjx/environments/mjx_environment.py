@@ -14,10 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..errors import SpecError
+from ..physics.engine import open_engine
 from ..spec import SceneSpec
 from .arm import scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .engines import WorldState, choose_engine, initial_world, open_steps
+from .engines import WorldState, initial_world, open_steps
 from .randomization import Variants
 
 Observation = dict[str, Array]
@@ -66,7 +67,7 @@ class MjxEnv:
         self._noise, self._variants = noise or ResetNoise(), variants
         if variants is not None and self._noise != ResetNoise():
             raise SpecError("an environment takes samples or noise, not both")
-        self.steps = open_steps(controlled, engine or choose_engine(), worlds)
+        self.steps = open_steps(controlled, engine or open_engine().name, worlds)
         self.control_s = control_s
         self.n_substeps = max(round(control_s / controlled.model.opt.timestep), 1)
 
@@ -96,11 +97,14 @@ class MjxEnv:
         """Start an episode in one of the variants. JAX can trace this method."""
         if self._variants is None:
             raise SpecError("the environment has no variants")
-        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row})
+        ctrl = self._variants.ctrl
+        ctrl = self.controlled.initial_ctrl if ctrl is None else jnp.asarray(ctrl)[row]
+        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row}, ctrl)
 
-    def _start(self, qpos: Array, own: dict[str, Array]) -> EnvState:
+    def _start(self, qpos: Array, own: dict[str, Array], ctrl: Any = None) -> EnvState:
         info = {"step": jnp.zeros((), jnp.int32), **own}
-        start = initial_world(self.controlled.model, qpos, self.controlled.initial_ctrl)
+        ctrl = self.controlled.initial_ctrl if ctrl is None else ctrl
+        start = initial_world(self.controlled.model, qpos, ctrl)
         world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
         return self._state(world, world, jnp.zeros(self.action_size), info)
 
@@ -191,7 +195,7 @@ def mjx_env(
         SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
-    name = engine or choose_engine()
+    name = engine or open_engine().name
     controlled = controlled_scene(run, without=without, mjx=name == "mjx", **scene_options)
     return MjxEnv(
         controlled,

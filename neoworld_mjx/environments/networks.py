@@ -14,6 +14,9 @@ from ..physics.array_types import AnyArray
 
 CLIP = 10.0
 """Largest absolute value of a normalized observation."""
+LEAST = 0.02
+"""Deviation added to that of an observation, so that one that hardly varied in training, such as a
+fixed object's position, is not amplified in another scene."""
 LARGEST = 100.0
 """Largest absolute value of an observation, so that a world that flies apart spoils no mean."""
 
@@ -28,7 +31,7 @@ class Normalizer(NamedTuple):
 
     def __call__(self, obs: Any, xp: Any = jnp) -> Any:
         """Return observations with zero mean and unit variance, clipped."""
-        deviation = xp.sqrt(self.squares / xp.maximum(self.seen, 1.0)) + 1e-3
+        deviation = xp.sqrt(self.squares / xp.maximum(self.seen, 1.0)) + LEAST
         return xp.clip((obs - self.mean) / deviation, -CLIP, CLIP)
 
     def update(self, obs: Float[Array, "*batch obs"]) -> "Normalizer":

@@ -1,6 +1,7 @@
 """A task as a policy sees it: a vector of observations, and actions of about 1 in size."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
 from .mjx_environment import EnvState, MjxEnv
 from .networks import flat
-from .predicates import BACK
+from .predicates import BACK, Located, leaves, named_objects
 from .task import SceneTask, StateView
 
 STEP_M, STEP_RAD = 0.02, 0.08
@@ -21,17 +22,41 @@ STEP_M, STEP_RAD = 0.02, 0.08
 
 
 def policy_observation(task: SceneTask, state: SceneState, xp: Any = jnp) -> Any:
-    """Return all observations as one vector, shape [obs].
+    """Return what a policy observes of a state as one vector, shape [obs].
 
-    They are those of the environment in the order of their names; then where the point of the task
-    is from the tool, in the axes of the tool [m]; and the progress.
+    It observes the tool, the point of the task, the goal and the objects that the task names, but
+    no others, and no position in the world: a policy acts alike wherever its objects are, and fits
+    other scenes with these objects. Positions are relative to the tool [m].
     """
-    scene = task.controlled
+    scene, view = task.controlled, StateView(task.controlled, state)
+    goal, point = task.task.goal, task.task.point
     pos, quat = scene.tool(state, xp)
-    apart = StateView(scene, state).point(task.task.point) - pos
-    near = rotate(quat * BACK, apart, xp)
-    own = {"near": near, "progress": xp.reshape(task.progress(state), (1,))}
-    return xp.concatenate([flat(scene.observe(state, xp), xp), flat(own, xp)])
+    named = named_objects(goal) | {point.object}
+    seen = {
+        "near": rotate(quat * BACK, view.point(point) - pos, xp),
+        "orientation": quat,
+        "opening": xp.reshape(view.opening(), (1,)),
+        "progress": xp.reshape(task.progress(state), (1,)),
+    }
+    for k, leaf in enumerate(leaves(goal)):
+        if isinstance(leaf, Located):
+            seen[f"goal {k}"] = leaf.offset(view)
+    for item in scene.scene.spec.objects:
+        if item.name in named and not item.environment:
+            at, turn = view.pose(item.name)
+            seen |= {f"position {item.name}": at - pos, f"turn {item.name}": turn}
+            own = [k for k, n in enumerate(scene.joints) if n.split("-", 1)[0] == item.name]
+            seen[f"joints {item.name}"] = state.qpos[scene.qpos_of_joints[own]]
+            seen[f"velocities {item.name}"] = state.qvel[scene.dof_of_joints[own]]
+    if (arm := scene.arm) is not None:
+        here = state.qpos[arm.qpos]
+        seen |= {"robot_joints": here, "robot_velocities": state.qvel[arm.dof]}
+        seen["robot_targets"] = state.ctrl[arm.actuators] * arm.gains - here
+    elif scene.gripper is not None:
+        n = len(scene.drives)
+        seen["target"] = state.ctrl[n : n + 3] + np.array(scene.gripper.pos, np.float32) - pos
+        seen["target_turn"] = state.ctrl[n + 3 : n + 6]
+    return flat(seen, xp)
 
 
 def policy_action(scene: ControlledScene, state: SceneState, action: Any, xp: Any = jnp) -> Any:
@@ -60,16 +85,48 @@ class TaskState(eqx.Module):
     metrics: dict[str, Array]
 
 
+class Script(NamedTuple):
+    """Motion that is written, not learned; episodes of training may start along it."""
+
+    action: Callable[[SceneState, SceneState, Array], Array]
+    """Maps the state, the initial state and the number of the step to an environment's action."""
+    steps: int
+
+
+SCRIPTED = 0.5
+"""Share of the initial states that lie along the script."""
+
+
 class PolicyEnv:
     """Environment of a task for the optimization; see `ppo.Trainable`."""
 
-    def __init__(self, env: MjxEnv, task: SceneTask, horizon: int) -> None:
-        self.env, self.task, self.horizon = env, task, horizon
+    def __init__(
+        self, env: MjxEnv, task: SceneTask, horizon: int, script: Script | None = None
+    ) -> None:
+        self.env, self.task, self.horizon, self._script = env, task, horizon, script
         self.action_size = env.action_size
 
     def reset(self, key: Array) -> TaskState:
-        """Return an initial state."""
-        return self._state(self.env.reset(key))
+        """Return an initial state; with a script, half of them lie along it.
+
+        Starts along a motion that reaches the goal make far rewards known early (Peng et al.,
+        DeepMimic, 2018: reference state initialization).
+        """
+        keys = jax.random.split(key, 3)
+        start = self.env.reset(keys[0])
+        script = self._script
+        if script is None:
+            return self._state(start)
+        first = scene_state(start.data)
+        moved = jax.random.uniform(keys[1]) < SCRIPTED
+        until = jnp.where(moved, jax.random.randint(keys[2], (), 0, script.steps), 0)
+
+        def advance(t: Array, state: EnvState) -> EnvState:
+            after = self.env.step(state, script.action(scene_state(state.data), first, t))
+            going = (t < until) & (after.done == 0)
+            return jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
+
+        return self._state(jax.lax.fori_loop(0, script.steps, advance, start))
 
     def reset_to(self, row: Array) -> TaskState:
         """Return the initial state of one of the variants."""

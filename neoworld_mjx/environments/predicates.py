@@ -125,10 +125,9 @@ class Located(Spec):
     def distance(self, world: StateReader) -> Any:
         """Return the violation of the bounds [m]; 0.1 rad count as 1 cm."""
         xp = world.xp
-        base_pos, base_quat = world.pose(self.relative_to, self.part)
-        pos, quat = world.pose(self.object)
-        point = rotate(quat, xp.asarray(self.point), xp) + pos
-        local = rotate(base_quat * BACK, point - base_pos, xp) - xp.asarray(self.target)
+        base_quat = world.pose(self.relative_to, self.part)[1]
+        quat = world.pose(self.object)[1]
+        local = -rotate(base_quat * BACK, self.offset(world), xp)
         tilt = _tilt(quat, xp)
         zero = 0.0 * tilt
         largest = lambda *values: xp.max(xp.stack([zero, *values]))
@@ -138,6 +137,14 @@ class Located(Spec):
             + 0.1 * largest(self.tilt[0] - tilt, tilt - self.tilt[1])
             + 0.1 * largest(_heading(base_quat, quat, xp) - self.heading)
         )
+
+    def offset(self, world: StateReader) -> Any:
+        """Return the displacement from the point to the target, in the world's axes [m]."""
+        xp = world.xp
+        base, turn = world.pose(self.relative_to, self.part)
+        pos, quat = world.pose(self.object)
+        aim = base + rotate(turn, xp.asarray(self.target), xp)
+        return aim - pos - rotate(quat, xp.asarray(self.point), xp)
 
     def meaning(self) -> str:
         """Return a description in one line."""
@@ -303,8 +310,13 @@ def _mm(point: Vec3 | NDArray) -> str:
     return "(" + ", ".join(f"{1000 * v:.0f}" for v in point) + ") mm"
 
 
+def leaves(predicate: Predicate) -> tuple[Located | Leaning | JointBetween | Reached, ...]:
+    """Return the predicates of a conjunction, or the predicate alone."""
+    return predicate.of if isinstance(predicate, Every) else (predicate,)
+
+
 def named_objects(predicate: Predicate) -> set[str]:
     """Return the objects that a predicate names."""
-    leaves = predicate.of if isinstance(predicate, Every) else (predicate,)
-    others = {leaf.relative_to for leaf in leaves if isinstance(leaf, Located)}
-    return {leaf.object for leaf in leaves} | others
+    parts = leaves(predicate)
+    others = {leaf.relative_to for leaf in parts if isinstance(leaf, Located)}
+    return {leaf.object for leaf in parts} | others

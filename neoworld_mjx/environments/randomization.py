@@ -29,6 +29,8 @@ class Variants:
     qpos: Float[np.ndarray, "variant nq"]
     fields: dict[str, np.ndarray]
     """Only fields in which the variants differ, each of shape [variant, ...]."""
+    ctrl: Float[np.ndarray, "variant nu"] | None = None
+    """Initial controls; None for those of the scene."""
 
     def __len__(self) -> int:
         return len(self.qpos)

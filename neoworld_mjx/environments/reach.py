@@ -47,6 +47,8 @@ BEYOND, BEYOND_RAD = 0.05, 0.2
 without one [rad]."""
 FINGER_M, FINGER_Y_M = 0.013, 0.035
 """Length of the fingers beyond the tool, and distance of open fingers from it [m]."""
+INSIDE = 0.6
+"""Largest distance from the middle of a goal at which the motion ends, as a share of its radius."""
 LIFT_M = 0.005
 """Height above the lowest bound of a goal to which the motion goes [m]."""
 MAX_RETREAT_M = 0.03
@@ -262,8 +264,9 @@ def _onward(task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose)
         relative = world_poses(task.scene)[goal.relative_to]
         point = relative.inverse().apply(world.apply(goal.point))
         aimed = np.array(goal.target)
-        if goal.radius > np.linalg.norm(point[:2] - aimed[:2]):
-            aimed[:2] = point[:2]
+        apart = point[:2] - aimed[:2]
+        # The nearest place within the goal, at some distance from its edge.
+        aimed[:2] += apart * min(1.0, INSIDE * goal.radius / max(np.linalg.norm(apart), 1e-9))
         aimed[2] += min(max(point[2] - aimed[2], goal.low + LIFT_M), goal.high)
         shift = rotate(relative.quat, aimed - point)
         path = [Pose(first.pos + k / STEPS * shift, first.quat) for k in range(1, STEPS + 1)]

@@ -21,7 +21,7 @@ from ..export.link_frames import frames
 from ..physics.mjcf import body_name
 from ..spec import SceneObject, SceneSpec, bounds, joint_position, world_poses
 from ..spec.pose import length, rotate
-from .arm import SceneState
+from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
 from .predicates import (
     BACK,
@@ -31,10 +31,11 @@ from .predicates import (
     Located,
     Predicate,
     Reached,
+    leaves,
 )
 
-HORIZON = 250
-"""Control steps of an episode: 5 s at 50 Hz."""
+HORIZON, PLACE_HORIZON = 250, 400
+"""Control steps of an episode at 50 Hz: 5 s, and 8 s where an object is carried and let go."""
 REACH, GRASP, PROGRESS, SUCCESS, EFFORT = 0.2, 0.2, 0.6, 1.0, 0.005
 """Weights of the reward's terms."""
 FAR_M, CLOSE_M = 0.3, 0.03
@@ -102,13 +103,18 @@ class SceneTask:
         return view.xp.clip(share, 0.0, 1.0)
 
     @cached_property
-    def initial_distance(self) -> float:
-        """Distance of the initial state from the goal, in the goal's unit."""
+    def initial_state(self) -> SceneState:
+        """State of the scene itself, in NumPy."""
         model = self.controlled.model
         data = mujoco.MjData(model)
-        data.qpos[:] = self.controlled.initial_qpos
+        data.qpos[:], data.ctrl[:] = self.controlled.initial_qpos, self.controlled.initial_ctrl
         mujoco.mj_forward(model, data)
-        state = SceneState(data.qpos, data.qvel, data.xpos, data.xquat, data.ctrl)
+        return scene_state(data)
+
+    @cached_property
+    def initial_distance(self) -> float:
+        """Distance of the initial state from the goal, in the goal's unit."""
+        state = self.initial_state
         start = float(self.task.goal.distance(StateView(self.controlled, state)))
         if start <= 0 and bool(self.success(state)):
             raise SpecError(f"task {self.instruction!r}: it is done from the start")
@@ -405,7 +411,7 @@ def place(scene: SceneSpec, name: str, *, on: str | None = None, in_: str | None
         source="own bound; at rest and let go: StackCube-v1 of ManiSkill",
     )
     words = f"place {name} {'on' if in_ is None else 'in'} {other.name}"
-    return Task(words, scene, goal, _body_point(item))
+    return Task(words, scene, goal, _body_point(item), PLACE_HORIZON)
 
 
 def insert(scene: SceneSpec, name: str, into: str) -> Task:
@@ -444,10 +450,9 @@ def upright(scene: SceneSpec, name: str) -> Task:
 
 def every(*tasks: Task) -> Task:
     """Return the task of reaching several goals in one scene; the tool works on the first point."""
-    goals = [task.goal for task in tasks]
-    leaves = [leaf for goal in goals for leaf in (goal.of if isinstance(goal, Every) else (goal,))]
+    parts = [leaf for task in tasks for leaf in leaves(task.goal)]
     words = ", then ".join(task.instruction for task in tasks)
-    return replace(tasks[0], goal=Every(of=tuple(leaves)), instruction=words)
+    return replace(tasks[0], goal=Every(of=tuple(parts)), instruction=words)
 
 
 Kind = Literal[

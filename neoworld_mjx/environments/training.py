@@ -15,16 +15,17 @@ import numpy as np
 from ..errors import SpecError
 from ..io.binary_files import read_arrays
 from ..io.files import content_hash, write_output
+from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
 from .controlled_scene import ControlledScene, controlled_scene
-from .engines import choose_engine
 from .mjx_environment import MjxEnv
 from .policy import About, Policy, Setting
-from .policy_environment import PolicyEnv
+from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
 from .samples import sample
+from .scripted_motion import arm_script
 from .simplified_scene import Colliders, scene_without
 from .task import SceneTask
 from .task_words import task_of
@@ -52,6 +53,8 @@ class Training:
     """native, warp or mjx; the fastest of the machine if None."""
     colliders: Colliders = "exact"
     """Coarse ones are faster; see `with_coarse_colliders`. Evaluation takes the exact ones."""
+    snapshots: tuple[float, ...] = ()
+    """Shares of the training after which the policy is also written, as policy-SHARE.npz."""
 
 
 REPORT_S = 10.0
@@ -123,26 +126,61 @@ def train(
         EngineError: the engine cannot run here or cannot simulate the scene.
     """
     t = training or Training()
+    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
+    mjx = (t.engine or open_engine().name) == "mjx"
+    task = task_scene(scene, setting, mjx=mjx, colliders=t.colliders)
+    for name, error in task.controlled.collider_errors.items():
+        report(f"coarse colliders of {name} exceed the exact ones by {1000 * error:.0f} mm")
+    variants = scene_variants(task.controlled, t.samples, t.seed)
+    script = None
+    if setting.robot is not None and setting.mount is not None:
+        script = arm_script(task, setting.robot, setting.mount)
+    return train_task(
+        task, setting, out, variants=variants, script=script, training=t, options=options,
+        resume=resume,
+    )  # fmt: skip
+
+
+def train_task(
+    task: SceneTask,
+    setting: Setting,
+    out: Path,
+    *,
+    variants: Variants | None = None,
+    script: Script | None = None,
+    training: Training | None = None,
+    options: ppo.PpoOptions | None = None,
+    resume: bool = False,
+) -> Policy:
+    """Train a policy of a task as `train` does.
+
+    Args:
+        task: the task in a scene with a robot or a gripper, whose time step is set.
+        setting: what is written in the policy; its timing counts.
+        out: folder of the policy.
+        variants: scenes in which episodes start; if None, the scene itself.
+        script: motion along which half of the episodes start.
+        training: duration and seed; the variants replace its draws.
+        options: settings of the optimization; if None, defaults for the engine.
+        resume: continue from the checkpoint in the folder.
+    """
+    t = training or Training()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SpecError(f"cannot write to {out}: {error.strerror}") from None
-    scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    engine = t.engine or choose_engine()
+    engine = t.engine or open_engine().name
     o = options or default_options(engine)
-    task = task_scene(scene, setting, mjx=engine == "mjx", colliders=t.colliders)
-    for name, error in task.controlled.collider_errors.items():
-        report(f"coarse colliders of {name} exceed the exact ones by {1000 * error:.0f} mm")
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(
         task.controlled,
         reward=task.reward,
-        variants=scene_variants(task.controlled, t.samples, t.seed),
+        variants=variants,
         engine=engine,
         worlds=o.worlds,
         control_s=setting.control_s,
     )
-    policy_env = PolicyEnv(env, task, setting.horizon)
+    policy_env = PolicyEnv(env, task, setting.horizon, script)
     a, b = jax.random.split(jax.random.key(t.seed))
     worlds, pool = ppo.open_worlds(policy_env, o, a)
     learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])
@@ -154,12 +192,13 @@ def train(
     advance = ppo.make_update(policy_env, o)
     about = lambda: About(
         setting=setting,
-        scene=content_hash(scene.to_json()),
+        scene=content_hash(task.task.scene.to_json()),
         seed=t.seed,
         steps=round(float(learner.steps) * 1000),
         samples=t.samples,
     )
     before = curve[-1]["seconds"] if curve else 0.0
+    snapshots = [s for s in sorted(t.snapshots) if not (out / snapshot_name(s)).exists()]
     started = saved = reported = time.monotonic()
     first = True
     while float(learner.steps) * 1000 < t.steps:
@@ -176,6 +215,11 @@ def train(
         if now - reported > REPORT_S or len(curve) == 1:
             _report(row, t)
             reported = now
+        share = row["steps"] / t.steps
+        if t.minutes is not None:
+            share = max(share, seconds / (60 * t.minutes))
+        while snapshots and share >= snapshots[0]:
+            policy_of(learner, about()).write(out / snapshot_name(snapshots.pop(0)))
         if now - saved > CHECKPOINT_S:
             _write(out, policy_of(learner, about()), learner, same, curve)
             saved = now
@@ -185,6 +229,11 @@ def train(
     _write(out, policy, learner, same, curve)
     draw_curve(curve, out / PICTURE)
     return policy
+
+
+def snapshot_name(share: float) -> str:
+    """Return the name of the file of a policy after a share of its training."""
+    return f"policy-{share:g}.npz"
 
 
 def _report(row: dict[str, float], training: Training) -> None:

@@ -1,9 +1,12 @@
 """Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
 
+import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -14,8 +17,9 @@ from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .mjx_environment import MjxEnv
-from .policy import Policy
-from .policy_environment import PolicyEnv, policy_action, policy_observation
+from .policy import Policy, Setting
+from .policy_environment import PolicyEnv, TaskState, policy_action, policy_observation
+from .randomization import Variants
 from .task import SceneTask
 from .training import scene_variants, task_scene
 
@@ -80,26 +84,44 @@ def evaluate(
         SpecError: the policy does not fit the scene, or no draw is kept.
     """
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
-    setting = policy.about.setting
-    task = task_scene(scene, setting)
+    task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
+    ends = episodes(task, policy.about.setting, variants)(policy)
+    lost = np.asarray(ends.env.done) > 0
+    success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
+    progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
+    return Trials(success, progress, samples)
+
+
+def episodes(
+    task: SceneTask, setting: Setting, variants: Variants | None
+) -> Callable[[Policy], TaskState]:
+    """Return a function that runs a policy once in each variant, or in the scene itself.
+
+    It returns the states at the ends of the episodes, and raises SpecError if the policy does not
+    fit the scene. It compiles once for all policies.
+    """
     env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
     policy_env = PolicyEnv(env, task, setting.horizon)
-    count = 1 if variants is None else len(variants)
     if variants is None:
-        states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(seed), 1))
+        start = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:
-        states = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(count))
-    check_fit(policy, states.obs.shape[-1], policy_env.action_size)
+        start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
     step = jax.jit(jax.vmap(policy_env.step))
-    lost = np.zeros(count, bool)
-    for _ in range(setting.horizon):
-        action = policy.act(np.asarray(states.obs)).astype(np.float32)
-        states = step(states, jnp.asarray(action))
-        lost |= np.asarray(states.done) > 0
-    success = (np.asarray(states.metrics["success"]) > 0) & ~lost
-    progress = np.where(lost, 0.0, np.asarray(states.metrics["progress"]))
-    return Trials(success, progress, samples)
+
+    def ends(policy: Policy) -> TaskState:
+        check_fit(policy, start.obs.shape[-1], policy_env.action_size)
+        states = start
+        for _ in range(setting.horizon):
+            before = states
+            action = policy.act(np.asarray(states.obs)).astype(np.float32)
+            states = step(states, jnp.asarray(action))
+            # A world that has diverged stays so.
+            done = jnp.maximum(states.env.done, before.env.done)
+            states = eqx.tree_at(lambda s: s.env.done, states, done)
+        return states
+
+    return ends
 
 
 def check_fit(policy: Policy, observations: int, actions: int) -> None:
@@ -123,7 +145,7 @@ def episode(
     data.ctrl[:] = controlled.initial_ctrl
     mujoco.mj_forward(model, data)
     steps = max(round(setting.control_s / model.opt.timestep), 1)
-    frames = [_copied(model, data)]
+    frames = [copy.copy(data)]
     for _ in range(setting.horizon):
         state = scene_state(data)
         obs = policy_observation(task, state, np)
@@ -133,12 +155,5 @@ def episode(
         data.ctrl[:] = controlled.controls(np.asarray(action, np.float32), state)
         mujoco.mj_step(model, data, steps)
         mujoco.mj_kinematics(model, data)
-        frames.append(_copied(model, data))
+        frames.append(copy.copy(data))
     return frames
-
-
-def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    copied = mujoco.MjData(model)
-    copied.qpos[:] = data.qpos
-    mujoco.mj_forward(model, copied)
-    return copied

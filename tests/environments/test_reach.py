@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ import pytest
 from neoworld_mjx.environments import task as tasks
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.mjx_environment import MjxEnv
+from neoworld_mjx.environments.policy_environment import PolicyEnv
 from neoworld_mjx.environments.reach import propose_mount, reachable
 from neoworld_mjx.environments.robots import Mount
+from neoworld_mjx.environments.scripted_motion import arm_script
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
 from tests.support.mechanisms import WOOD, geom, joint, part, single
@@ -94,3 +98,26 @@ def test_places_from_which_an_arm_does_not_reach_are_told(scene):
     lifted = scene.model_copy(update={"objects": (*scene.objects[:2], high)})
     with pytest.raises(SpecError, match="reaches it from no place"):
         propose_mount(tasks.reach(lifted, "block"), ARM)
+
+
+def test_a_script_places_a_block_and_lets_go(scene):
+    stand = single("stand", Box(size=(0.2, 0.2, 0.06)), 0.03)
+    beside = SceneObject(name="stand", spec=stand, parent="floor", z=0.0501, xy=(0.7, -0.4))
+    scene = scene.model_copy(update={"objects": (*scene.objects, beside)})
+    task = tasks.place(scene, "block", on="stand")
+    mount = propose_mount(task, ARM)
+    on = task.on(controlled_scene(task.scene, robot=ARM, mount=mount))
+    script = arm_script(on, ARM, mount)
+    assert script is not None
+    env = MjxEnv(on.controlled, engine="native", control_s=0.04)
+    state = jax.jit(env.reset)(jax.random.key(0))
+    first = scene_state(state.data)
+    step = jax.jit(lambda s, t: env.step(s, script.action(scene_state(s.data), first, t)))
+    for t in range(script.steps):
+        state = step(state, t)
+    assert bool(on.success(scene_state(state.data)))
+    # Half of the initial states of a policy's episodes lie along it.
+    starts = PolicyEnv(env, on, 10, script)
+    states = jax.jit(jax.vmap(starts.reset))(jax.random.split(jax.random.key(1), 16))
+    along = np.asarray(states.metrics["progress"])
+    assert (along < 0.01).any() and (along > 0.5).any()

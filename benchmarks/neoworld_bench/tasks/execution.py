@@ -71,13 +71,13 @@ def execute(
         reason = f"the gripper starts {1000 * depth:.1f} mm deep in {where}"
         return Outcome(False, reason, float(predicate.progress(world)), 0.0)
     lag = 0.0
-    for targets in _path(plan):
+    for targets in plan_path(plan):
         lag = max(lag, _follow(world, plan, targets))
         if watch is not None:
             watch(world, float(world.data.time))
         if world.diverged():
             return Outcome(False, "the simulation diverged", 0.0, 0.0, lag, world.data.time)
-    return _judge(world, predicate, SETTLE_S, lag, watch)
+    return judge(world, predicate, SETTLE_S, lag, watch)
 
 
 def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcome:
@@ -91,13 +91,26 @@ def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcom
         moved = (np.linalg.norm(now.pose(name).pos - at) for name, at in start.items())
         drift = max(drift, *(float(distance) for distance in moved))
 
-    outcome = _judge(world, predicate, max(0.0, seconds - HOLD_S), 0.0, watch)
+    outcome = judge(world, predicate, max(0.0, seconds - HOLD_S), 0.0, watch)
     return replace(outcome, drift_m=drift)
 
 
-def _judge(
-    world: World, predicate: Predicate, settle: float, lag: float, watch: Watch | None
+def judge(
+    world: World,
+    predicate: Predicate,
+    settle: float = SETTLE_S,
+    lag: float = 0.0,
+    watch: Watch | None = None,
 ) -> Outcome:
+    """Simulate on with the present controls, and evaluate the predicate over the last second.
+
+    Args:
+        world: the simulation.
+        predicate: what must hold in every state of the last HOLD_S.
+        settle: time before [s].
+        lag: maximum lag of the tool so far [m].
+        watch: called with the world and the time [s] every CONTROL_S.
+    """
     substeps = round(CONTROL_S / TIMESTEP)
     counts: list[bool] = []
     for k in range(round((settle + HOLD_S) / CONTROL_S)):
@@ -115,8 +128,9 @@ def _judge(
     return Outcome(success, reason, progress, held, lag, float(world.data.time))
 
 
-def _path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
-    """Yield the targets: displacement [m], rotation since the start, opening [m]."""
+def plan_path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
+    """Return the targets every CONTROL_S: displacement [m], rotation since the start, opening
+    [m]."""
     path = []
     position, orientation, opening = (
         np.array(plan.position),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.measure import measured
@@ -68,7 +69,7 @@ def planned_there(
     names = [item.name for item in task.scene.objects if not item.environment]
     present = [name for name in names if name in reconstructed_names]
     offs = offsets(reconstructed, task.scene, present)
-    shift = np.median(offs, axis=0) if present else np.zeros(2)
+    shift = common_offset(task, reconstructed)
     error = None
     if task.object in present:
         error = float(np.linalg.norm(offs[present.index(task.object)] - shift))
@@ -90,6 +91,16 @@ def planned_there(
         error,
         time.perf_counter() - began,
     )
+
+
+def common_offset(task: ManipulationTask, reconstructed: SceneSpec) -> NDArray:
+    """Return the median horizontal offset of the objects from the ground truth [2] m."""
+    known = {item.name for item in reconstructed.objects}
+    names = [item.name for item in task.scene.objects if not item.environment]
+    present = [name for name in names if name in known]
+    if not present:
+        return np.zeros(2)
+    return np.median(offsets(reconstructed, task.scene, present), axis=0)
 
 
 def _planned(task: ManipulationTask, reconstructed: SceneSpec) -> TaskPlan | str:

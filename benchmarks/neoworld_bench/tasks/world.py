@@ -27,9 +27,17 @@ class World:
 
     GRIPPER: ClassVar[str] = PREFIX
 
-    def __init__(self, scene: SceneSpec, plan: TaskPlan | None, *, visual: bool = False) -> None:
+    def __init__(
+        self,
+        scene: SceneSpec,
+        plan: TaskPlan | None,
+        *,
+        visual: bool = False,
+        model: mujoco.MjModel | None = None,
+    ) -> None:
+        """Start a simulation of a plan, or of `model`, a compiled scene with its gripper."""
         self.scene, self.xp = scene, np
-        self.model = _compile(scene, plan, visual)
+        self.model = _compile(scene, plan, visual) if model is None else model
         self.data = mujoco.MjData(self.model)
         start = _start(scene)
         self.data.qpos[: len(start)] = start
