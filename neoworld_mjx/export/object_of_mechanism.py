@@ -248,6 +248,8 @@ def _part(
         if not isinstance(shape, BaseShape):
             shape, method = _mesh(shape, budget if split else None, link.name, notes)
             methods += [method or "the convex hull"] if split and (method or derived) else []
+        elif derived:
+            methods.append("the same shapes")
         if shape is None:
             continue
         geoms.append(
