@@ -102,3 +102,16 @@ def test_colliders_that_only_visual_shapes_give_are_noted(tmp_path):
     path.write_text(text[: text.index("<collision>")] + "</link></robot>")
     imported = import_file(path)
     assert imported.notes == ("link a has no colliders: derived from its visuals: the same shapes",)
+
+
+def test_changed_names_of_links_and_joints_are_noted(tmp_path):
+    joint = (
+        f"<link name='arm/1'>{MASS}<collision><geometry><sphere radius='.1'/></geometry>"
+        "</collision></link><joint name='left.hip' type='continuous'><parent link='a'/><child link='arm/1'/>"
+        "</joint>"
+    )
+    path = tmp_path / "a.urdf"
+    path.write_text(urdf("<box size='.2 .2 .2'/>", joint))
+    imported = import_file(path)
+    assert [joint.name for joint in imported.spec.joints] == ["left_hip"]
+    assert imported.notes == ("names are changed: 'arm/1' is arm_1, 'left.hip' is left_hip",)
