@@ -107,8 +107,8 @@ def test_colliders_that_only_visual_shapes_give_are_noted(tmp_path):
 def test_changed_names_of_links_and_joints_are_noted(tmp_path):
     joint = (
         f"<link name='arm/1'>{MASS}<collision><geometry><sphere radius='.1'/></geometry>"
-        "</collision></link><joint name='left.hip' type='continuous'><parent link='a'/><child link='arm/1'/>"
-        "</joint>"
+        "</collision></link><joint name='left.hip' type='continuous'><parent link='a'/>"
+        "<child link='arm/1'/></joint>"
     )
     path = tmp_path / "a.urdf"
     path.write_text(urdf("<box size='.2 .2 .2'/>", joint))
