@@ -1,7 +1,7 @@
 """Reads the nodes, meshes and colors of untrusted glTF 2.0 files.
 
-Accessors may be normalized or quantized. Compressed meshes (Draco, meshopt), sparse accessors,
-skins and morph targets are refused.
+Accessors may be normalized, quantized or sparse. Compressed meshes (Draco, meshopt), skins and
+morph targets are refused.
 """
 
 import base64
@@ -78,7 +78,6 @@ def _refused(document: dict[str, Any]) -> set[str]:
     found = {
         "skins": any("skin" in row for row in moved),
         "morph targets": any(any(row.get("weights", ())) for row in moved),
-        "sparse accessors": any("sparse" in row for row in document.get("accessors", ())),
     }
     return {name for name, used in found.items() if used}
 
@@ -215,6 +214,13 @@ def accessor(file: GltfFile, index: int) -> NDArray:
         raise ValueError("an accessor without data is too large")
     else:
         values = np.zeros((size, width), _TYPES[kind])
+    if "sparse" in row:
+        sparse = row["sparse"]
+        at, new, count = sparse["indices"], sparse["values"], int(sparse["count"])
+        where = (file, at["bufferView"], at.get("byteOffset", 0), at["componentType"], 1, count)
+        replaced = (file, new["bufferView"], new.get("byteOffset", 0), kind, width, count)
+        values = values.copy()
+        values[_values(*where).reshape(-1)] = _values(*replaced)
     if row.get("normalized") and values.dtype.kind in "iu":
         return np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)
     return values

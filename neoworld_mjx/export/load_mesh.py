@@ -44,6 +44,8 @@ def joined(surfaces: list[Surface]) -> tuple[NDArray, NDArray]:
 def load_surfaces(path: Path, notes: list[str]) -> list[Surface]:
     """Return the surfaces of a mesh file, one for each material, in the file's units and axes.
 
+    Collada states its unit, so its surfaces are in meters.
+
     Args:
         path: the file.
         notes: list to which notes on colors are added.
@@ -99,8 +101,11 @@ def _by_trimesh(path: Path, kind: str, notes: list[str]) -> list[Surface]:
 
 
 def _surface(mesh: Any, notes: list[str]) -> Surface:
-    """Return a mesh of trimesh with its color."""
+    """Return a mesh of trimesh with its color; one of Collada is converted to meters."""
     vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+    unit = str(mesh.metadata.get("units") or "")
+    if unit.endswith(" * meters"):
+        vertices *= float(unit.removesuffix(" * meters"))
     if len(faces) == 0 or faces.max() >= len(vertices):
         return Surface(vertices, faces)
     visual, rgba = mesh.visual, None

@@ -49,6 +49,8 @@ DENSITY = 400.0
 PLACEHOLDER_M, PLACEHOLDER_KG, PLACEHOLDER_KG_M2 = 1e-3, 1e-6, 1e-9
 """Radius [m], mass and moments of inertia of the sphere that replaces a link without geometry."""
 MAX_LINKS, MAX_SHAPES, MAX_SITES = 400, 2000, 2000
+MAX_CHANGED = 5
+"""Largest number of changed names in a note."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def to_object(mechanism: Mechanism, budget: Budget | None = None) -> Imported:
 
     A link that has no geometry, or only visual geometry, is merged into the link to which it is
     fixed. A moving link without geometry gets a small sphere. Names are converted to valid
-    identifiers.
+    identifiers, with a note.
 
     Args:
         mechanism: result of a reader; this function modifies the mechanism's links and notes.
@@ -118,6 +120,14 @@ def to_object(mechanism: Mechanism, budget: Budget | None = None) -> Imported:
     if (looped := name_on_cycle(leaders)) is not None:
         raise SpecError(f"joint {looped!r} mimics itself through other joints")
     joint_names = {joint.name: names.take(joint.name, "joint") for joint in moving}
+    changed = [
+        f"{old!r} is {new}"
+        for old, new in (*part_names.items(), *joint_names.items())
+        if old != new
+    ]
+    if changed:
+        more = ", ..." if len(changed) > MAX_CHANGED else ""
+        notes.append(f"names are changed: {', '.join(changed[:MAX_CHANGED])}{more}")
     joints = []
     for joint in moving:
         update: dict[str, Any] = {
@@ -248,6 +258,8 @@ def _part(
         if not isinstance(shape, BaseShape):
             shape, method = _mesh(shape, budget if split else None, link.name, notes)
             methods += [method or "the convex hull"] if split and (method or derived) else []
+        elif derived:
+            methods.append("the same shapes")
         if shape is None:
             continue
         geoms.append(

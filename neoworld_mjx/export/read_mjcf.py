@@ -380,6 +380,8 @@ def _joint(file: _File, j: int, parent: str, child: str, notes: list[str]) -> Jo
     slide = kind == _J.mjJNT_SLIDE
     reference = float(model.qpos0[model.jnt_qposadr[j]])
     lower, upper = (float(v) - reference for v in model.jnt_range[j])
+    if abs(reference) > 1e-9:
+        notes.append(f"joint {name}: its reference position {reference:g} is 0 here")
     if slide and not limited:
         lower, upper = -SLIDE_M, SLIDE_M
         notes.append(f"joint {name} slides without limits: here from {lower:g} to {upper:g} m")

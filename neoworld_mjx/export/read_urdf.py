@@ -2,6 +2,7 @@
 
 import io
 import math
+import os
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -14,7 +15,7 @@ from ..errors import SpecError
 from ..spec import Box, Capsule, Cylinder, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .asset_files import asset_bytes, inside, read_xml
+from .asset_files import asset_bytes, inside, inside_any, read_xml
 from .load_mesh import joined, load_surfaces
 from .mechanism import (
     GRAY,
@@ -31,6 +32,8 @@ XACRO = "xacro"
 WORLD_LINK = re.compile(r"world([_-]?(link|base|frame))?", re.IGNORECASE)
 """Pattern of the names of root links that stand for the world."""
 GEOMETRIES = ("box", "cylinder", "sphere", "mesh", "capsule")
+LAYOUT = ("meshdir", "assetdir", "strippath", "discardvisual", "fusestatic")
+"""Settings of MuJoCo in URDF that concern files, or that no import depends on."""
 NOT_IMPORTED = {
     "transmission": "transmissions",
     "gazebo": "Gazebo's extensions",
@@ -59,9 +62,8 @@ def read_urdf(path: Path) -> Mechanism:
     if root.tag != "robot":
         raise SpecError(f"{path}: the root element of URDF is <robot>, not <{root.tag}>")
     _check_names(path, root)
-    for mesh in root.iter("mesh"):
-        inside(path, mesh.get("filename") or "")
     notes: list[str] = []
+    _find_meshes(path, root, notes)
     capsules = _replace_unknown_shapes(root, notes)
     try:
         robot = yourdfpy.URDF.load(
@@ -106,6 +108,33 @@ def read_urdf(path: Path) -> Mechanism:
     by_name = {link.name: link for link in links}
     name = robot.name or path.stem
     return Mechanism(name, by_name, joints, sites, notes, fixed=fixed and not free)
+
+
+def _find_meshes(path: Path, root: ET.Element, notes: list[str]) -> None:
+    """Check that all meshes exist, and note the settings of MuJoCo that are not applied.
+
+    A mesh that is not where the file names it is looked for without its folders, as MuJoCo does:
+    in the `meshdir` of the element <mujoco>, or beside the file.
+    """
+    stated = {key: v for e in root.findall("mujoco/*") for key, v in e.attrib.items()}
+    folder = stated.get("meshdir", stated.get("assetdir", ""))
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename") or ""
+        try:
+            inside(path, name)
+        except SpecError:
+            other = os.path.join(folder, re.split(r"[/\\]", name)[-1])
+            try:
+                inside_any(path, [other], name)
+            except SpecError:
+                other = ""
+            if not name or not other:
+                raise
+            mesh.set("filename", other)
+            notes.append(f"{name} does not exist: {other} is read, as in MuJoCo")
+    ignored = [f"{key}={value}" for key, value in stated.items() if key not in LAYOUT]
+    if ignored:
+        notes.append(f"settings of MuJoCo are not applied: {', '.join(ignored)}"[:200])
 
 
 def _split_planar(
@@ -314,8 +343,12 @@ def _joint(path: Path, joint: Any, frame: NDArray, notes: list[str]) -> JointSpe
             notes.append(f"joint {joint.name} is {kind}: imported as fixed")
         kind = "fixed"
     if kind in ("revolute", "prismatic"):
-        if limit is not None and limit.lower is not None and limit.upper is not None:
-            lower, upper = float(limit.lower), float(limit.upper)
+        low, high = getattr(limit, "lower", None), getattr(limit, "upper", None)
+        if low is not None or high is not None:
+            lower, upper = float(low or 0.0), float(high or 0.0)
+            if low is None or high is None:
+                missing = "lower" if low is None else "upper"
+                notes.append(f"joint {joint.name} states no {missing} limit: it is 0, as in URDF")
         elif kind == "prismatic":
             lower, upper = -SLIDE_M, SLIDE_M
             notes.append(
