@@ -145,10 +145,7 @@ def example_run(tmp_path_factory):
     out = tmp_path_factory.mktemp("example") / "out"
     command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
     done = subprocess.run(
-        [*command, "--out", str(out), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
+        [*command, "--out", str(out), "--json"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     before = _digest(out)

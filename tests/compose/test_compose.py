@@ -127,10 +127,7 @@ def test_a_book_that_overlaps_the_side_of_its_shelf_stays_on_its_board():
         scenes.single("book", (Box(size=(0.15, 0.03, 0.22)), (0, 0, 0))),
     )
     result = composed(
-        [
-            node("shelf", shelf, (1.0, 0, 0)),
-            node("book", book, (1.0, 0.395, 0.42), parent="shelf"),
-        ],
+        [node("shelf", shelf, (1.0, 0, 0)), node("book", book, (1.0, 0.395, 0.42), parent="shelf")],
         {"shelf": shelf, "book": book},
     )
     on_board = world_poses(result.scene)["book"].pos[2]

@@ -25,13 +25,7 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read_model
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.spec import (
-    Box,
-    SceneObject,
-    SceneSpec,
-    read_scene,
-    single_object_scene,
-)
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, single_object_scene
 from tests.support.mechanisms import single
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"

@@ -120,10 +120,7 @@ def test_a_surface_becomes_a_named_material_with_a_pattern():
     ("change", "words"),
     [
         ({"colour": [0.5, 0.5]}, r"surface.colour\n.*must be three numbers, got 2"),
-        (
-            {"second_colour": [0.5, 0.5, 90]},
-            r"second_colour.2\n.*must lie in 0 .. 1, got 90",
-        ),
+        ({"second_colour": [0.5, 0.5, 90]}, r"second_colour.2\n.*must lie in 0 .. 1, got 90"),
         ({"step": 0}, r"surface.step\n.*must lie in 0.0001 .. 10, got 0"),
         ({"material": "cheese"}, "material"),
     ],

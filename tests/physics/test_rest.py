@@ -13,10 +13,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import (
-    TILT_BOUND_LYING,
-    settling_displacement,
-)
+from neoworld_mjx.physics.placed import TILT_BOUND_LYING, settling_displacement
 from neoworld_mjx.physics.rest import rest, settle, settle_scene, with_damped_joints
 from neoworld_mjx.spec import Box, with_world_poses, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose

@@ -87,9 +87,7 @@ def test_depth_and_masks_are_evidence_again(monkeypatch, five, refined, photo, r
     depth = Evidence(depth=DepthImage(np.ones((4, 4))))
     given = []
     monkeypatch.setattr(
-        final_alignment,
-        "align_again",
-        lambda *args, evidence: given.append(evidence) or right,
+        final_alignment, "align_again", lambda *args, evidence: given.append(evidence) or right
     )
     align_final(five, refined, photo, evidence=depth)
     assert given == [depth]

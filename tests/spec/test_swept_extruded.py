@@ -101,10 +101,7 @@ def strip(*points) -> Sweep:
             lambda: strip((0.1, 0, 0), (0.01, 0.01, 0)),
             r"turns by 174 degrees at path\[1\], at most 120",
         ),
-        (
-            lambda: strip((0.1, 0, 0), (0.1, 0, 0)),
-            r"repeats a point: path\[1\] and path\[2\]",
-        ),
+        (lambda: strip((0.1, 0, 0), (0.1, 0, 0)), r"repeats a point: path\[1\] and path\[2\]"),
         (
             lambda: Lathe(profile=((0, 0), (0.05, 0), (0.05, 0.1), (0.04, 0.08))),
             r"from profile\[2\] \(0.05, 0.1\) to profile\[3\] \(0.04, 0.08\)",
@@ -113,10 +110,7 @@ def strip(*points) -> Sweep:
             lambda: Lathe(profile=((0, 0), (0.05, 0), (0, 0.1)), thickness=0.002),
             r"only at its first point, not at profile\[2\] \(0, 0.1\)",
         ),
-        (
-            lambda: Lathe(profile=((0, 0), (-0.05, 0), (0, 0.1))),
-            r"profile\[1\] is \(-0.05, 0\)",
-        ),
+        (lambda: Lathe(profile=((0, 0), (-0.05, 0), (0, 0.1))), r"profile\[1\] is \(-0.05, 0\)"),
         (
             lambda: Extrusion(outline=((0, 0), (2, 2), (2, 0), (0, 1)), height=0.1),
             r"edges from outline\[0\] and outline\[2\]",
