@@ -142,8 +142,6 @@ FILES: dict[str, Row] = {
     # Pictures.
     "pixels": ("a.png", lambda: png(12_000, 12_000), load_photo, "144 megapixels; the limit"),
     "decoding": ("a.png", lambda: png(11_000, 11_000), load_photo, "memory"),
-    "eps": ("a.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%EOF\n", load_photo, "not an image"),
-    "half": ("a.png", lambda: png(200, 200)[:60], load_photo, "damaged or truncated|not an image"),
     # URDF, MJCF, USD and meshes.
     "entities": (
         "a.urdf",
