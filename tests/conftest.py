@@ -2,6 +2,7 @@
 runs.
 """
 
+import fcntl
 import gc
 import hashlib
 import importlib.metadata
@@ -33,18 +34,9 @@ flag and the next ones, 2.7 s with them."""
 FLAGS_BEFORE = {(0, 11, 1): " --xla_cpu_use_fusion_emitters=false"}
 """Flags that jaxlib no longer knows from a version on; XLA ends the process at an unknown one."""
 LONG = (
-    *("search", "bench", "test_pipeline", "kernels", "physics", "sweeps"),
-    *(
-        "test_recipes",
-        "notebooks",
-        "verify",
-        "program",
-        "pipeline",
-        "estimate",
-        "outside",
-        "test_faults",
-        "commands",
-    ),
+    *("commands", "test_pipeline", "pipeline", "search", "bench", "estimate", "kernels"),
+    *("physics", "environments", "sweeps", "test_recipes", "notebooks", "verify", "program"),
+    *("outside", "test_faults", "test_examples"),
 )
 """Folders and files that take longest; several workers begin with them and end together."""
 QUICK = {
@@ -139,20 +131,24 @@ def quick_config():
 
 @pytest.fixture(scope="session")
 def example_run(tmp_path_factory):
-    """The first command of the README, whole: its run folder, which tests only read, and its
-    answer.
+    """The first command of the README, whole, once for all workers: its run folder, which tests
+    only read, and its answer.
     """
-    out = tmp_path_factory.mktemp("example") / "out"
+    home = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        home = home.parent
+    out, answer = home / "example" / "out", home / "example.json"
     command = [sys.executable, "-m", "neoworld_mjx.cli", "reconstruct", str(PHOTO)]
-    done = subprocess.run(
-        [*command, "--out", str(out), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    with (home / "example.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not answer.exists():
+            done = subprocess.run(
+                [*command, "--out", str(out), "--json"], capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, done.stderr
+            answer.write_text(done.stdout)
     before = _digest(out)
-    yield out, json.loads(done.stdout)
+    yield out, json.loads(answer.read_text())
     assert _digest(out) == before, "a test changed the shared run; copy it first"
 
 

@@ -7,14 +7,13 @@ import importlib.util
 import json
 import os
 import shutil
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from neoworld_mjx import cli
+from tests.support.model_server import ModelServer, fails
 
 PHOTO = Path(__file__).parents[1] / "examples" / "coffee.png"
 
@@ -121,35 +120,12 @@ def test_a_run_of_another_photo_is_not_resumed(refused, parsed, tmp_path, more):
     assert everything(out) == before
 
 
-class _Refuses(BaseHTTPRequestHandler):
-    def do_POST(self) -> None:
-        self.rfile.read(int(self.headers.get("content-length", 0)))
-        told = {
-            "type": "error",
-            "error": {"type": "authentication_error", "message": "invalid key"},
-        }
-        body = json.dumps(told).encode()
-        self.send_response(401)
-        self.send_header("content-type", "application/json")
-        self.send_header("content-length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 def test_a_refused_key(refused, monkeypatch, tmp_path):
     monkeypatch.setenv("ANTHROPIC_API_KEY", "sk-secret-123456")
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _Refuses)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
     out = tmp_path / "out"
-    url = f"mllm.base_url=http://127.0.0.1:{server.server_port}"
-    try:
+    with ModelServer("anthropic", fails(401, "invalid key")) as server:
+        url = f"mllm.base_url={server.url}"
         message = refused(PHOTO, "--out", out, "--provider", "anthropic", "--set", url)
-    finally:
-        server.shutdown()
-        server.server_close()
     assert "ANTHROPIC_API_KEY was refused" in message
     assert "sk-secret" not in message
     data = json.loads((out / "run.json").read_text())

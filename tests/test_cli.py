@@ -6,7 +6,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands import COMMANDS
@@ -102,20 +101,6 @@ def test_flags_win_over_settings_and_settings_over_the_file(tmp_path):
     assert (config.seed, config.refine.cem.population, config.refine.cem.iterations) == (3, 8, 2)
     with pytest.raises(ConfigError, match="set to a value already"):
         CheckCommand(target=tmp_path, set=("seed=1", "seed.x=1")).load_config()
-
-
-@pytest.mark.parametrize("out_is_a_file", [True, False])
-def test_bad_input_is_one_message_and_leaves_no_folder(neoworld, tmp_path, out_is_a_file):
-    photo, out = tmp_path / "photo.png", tmp_path / "out"
-    if out_is_a_file:
-        Image.new("RGB", (64, 64)).save(photo)
-        out.write_text("precious")
-    else:
-        photo.write_text("no picture")
-    completed = neoworld("reconstruct", photo, "--out", out, "--json", "--provider", "mailbox")
-    assert_refused(completed, str(out if out_is_a_file else photo))
-    assert json.loads(completed.stdout).keys() == {"error"}
-    assert out.exists() == out_is_a_file
 
 
 PROGRAM = """

@@ -23,6 +23,7 @@ from neoworld_mjx.pipeline import place, reconstruct, refine_again
 from neoworld_mjx.search.final_alignment import FinalAlignment
 from neoworld_mjx.spec import SceneSpec, SceneTree, read_scene
 from tests.support.example_figures import check_figures
+from tests.support.scenes import changed
 
 ROOT = Path(__file__).parents[1]
 OBJECTS = ["table", "saucer", "cup", "spoon"]
@@ -206,9 +207,7 @@ def test_the_final_alignment_gets_what_the_run_has_and_is_in_its_result(
 
     def again(before, refined, picture, *options, evidence, keep):
         given.append((before, evidence, set(keep)))
-        cup = refined.object("cup").model_copy(update={"yaw": 0.25})
-        objects = [cup if item.name == "cup" else item for item in refined.objects]
-        scene = refined.model_copy(update={"objects": tuple(objects)})
+        scene = changed(refined, "cup", yaw=0.25)
         return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))
 
     monkeypatch.setattr(place, "align_final", again)

@@ -9,13 +9,7 @@ from neoworld_mjx.checks import joint_checks, scenarios
 from neoworld_mjx.checks.object_tests import VERSION, run_object_tests
 from neoworld_mjx.checks.verdict import BUDGET, Fault
 from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.spec import (
-    Box,
-    Cylinder,
-    JointSpec,
-    ObjectSpec,
-    Sphere,
-)
+from neoworld_mjx.spec import Box, Cylinder, JointSpec, ObjectSpec, Sphere
 from tests.support import scenes
 from tests.support.furniture import chest, cupboard
 from tests.support.mechanisms import WOOD, geom, part

@@ -22,19 +22,14 @@ from mcp import Client, MCPError, StdioServerParameters
 
 from neoworld_mjx.commands.agent_edits import placement_of
 from neoworld_mjx.commands.agent_tools import TOOLS
-from neoworld_mjx.commands.mcp_command import (
-    MAX_PICTURES_BYTES,
-    McpCommand,
-    bounded,
-    build_server,
-)
+from neoworld_mjx.commands.mcp_command import MAX_PICTURES_BYTES, McpCommand, bounded, build_server
 from neoworld_mjx.errors import ConfigError, RunError, SpecError
 from neoworld_mjx.mllm import Picture, Tape, bundled_tapes
 from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from tests.conftest import QUICK
 from tests.support import scenes
 
-OPTIONS = {**QUICK, "compose": {"align": {"enabled": False}}}
+OPTIONS = {**QUICK, "compose": {"looks": False, "align": {"enabled": False}}}
 TAPE = bundled_tapes() / "coffee.tape.json"
 
 

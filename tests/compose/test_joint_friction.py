@@ -6,13 +6,7 @@ import pytest
 
 from neoworld_mjx.compose.resting_pose import MARGIN, hold_joints, joint_loads
 from neoworld_mjx.measure import scene_measure
-from neoworld_mjx.spec import (
-    Box,
-    ObjectSpec,
-    SceneObject,
-    SceneSpec,
-    inertial,
-)
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec, inertial
 from tests.support import scenes
 from tests.support.mechanisms import WOOD, geom, joint, part
 

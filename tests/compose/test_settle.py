@@ -8,12 +8,7 @@ import pytest
 from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.compose.settle import settle
 from neoworld_mjx.measure.scene_check import scene_measure
-from neoworld_mjx.spec import (
-    Box,
-    Cylinder,
-    SceneObject,
-    SceneSpec,
-)
+from neoworld_mjx.spec import Box, Cylinder, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
 from tests.support import scenes
 

@@ -271,5 +271,5 @@ def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
     told = neoworld("train", file, "--task", TASK, *other)
     assert told.returncode == 0
     alone = read_policy(tmp_path / "other" / "policy.npz")
-    assert alone.about.setting.without == ("block",) and alone.observation_size == whole - 7
+    assert alone.about.setting.without == ("block",) and alone.observation_size == whole
     assert len(evaluate(alone, scene, samples=0).success) == 1

@@ -165,10 +165,7 @@ FILES = {
         {"camera.json": lambda: posed(tilted_base()), "gravity": DOWN},
         "disagree by 11.5 deg: z of the base frame",
     ),
-    "empty masks": (
-        {"masks.png": lambda: 0 * labels()},
-        "has no masks: all of its pixels are 0",
-    ),
+    "empty masks": ({"masks.png": lambda: 0 * labels()}, "has no masks: all of its pixels are 0"),
 }
 """Wrong evidence, by the name of its file, and the message about it."""
 

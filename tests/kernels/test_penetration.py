@@ -7,12 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neoworld_kernels import (
-    Colliders,
-    PieceGroup,
-    pair_depth_culled,
-    pair_depth_reference,
-)
+from neoworld_kernels import Colliders, PieceGroup, pair_depth_culled, pair_depth_reference
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.physics.colliders import collect_colliders

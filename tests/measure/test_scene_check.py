@@ -5,13 +5,7 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.measure import (
-    SETTLED_AWAY,
-    measured,
-    passes,
-    scene_checks,
-    with_displacement,
-)
+from neoworld_mjx.measure import SETTLED_AWAY, measured, passes, scene_checks, with_displacement
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.spec import SceneObject
 from tests.support import furniture, scenes

@@ -16,9 +16,7 @@ def test_the_ground_truth_overlaps_its_photograph_and_a_moved_object_does_not(sc
     assert set(true) == {o.name for o in scene.objects if not o.environment}
     assert min(true.values()) > 0.9 and np.mean([*true.values()]) > 0.97
     first = scene.objects[1]
-    moved = first.model_copy(update={"xy": (first.xy[0], first.xy[1] + 1.0)})
-    objects = tuple(moved if o.name == first.name else o for o in scene.objects)
-    shifted = scene.model_copy(update={"objects": objects})
+    shifted = scenes.changed(scene, first.name, xy=(first.xy[0], first.xy[1] + 1.0))
     measured = box_iou({first.name: 0.75}, scene, shifted)
     assert measured["parsed"] == 0.75
     assert measured["composed"] == pytest.approx(np.mean([*true.values()]))

@@ -37,11 +37,7 @@ def test_dated_names_have_the_price_of_their_model(model, found):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("m: {input: 1}", "m.output: Field required"),
-        ("m: {", "not valid YAML"),
-    ],
+    ("text", "words"), [("m: {input: 1}", "m.output: Field required"), ("m: {", "not valid YAML")]
 )
 def test_invalid_prices_are_one_error(tmp_path, text, words):
     path = tmp_path / "p.yaml"

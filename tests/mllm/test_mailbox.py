@@ -50,13 +50,7 @@ def test_a_folder_holds_the_whole_request(make, tmp_path):
     assert given.value == make.Colour(name="red")
     folder = tmp_path / "0001-program-cup"
     names = {path.name for path in folder.iterdir()}
-    assert names == {
-        "prompt.md",
-        "schema.json",
-        "request.json",
-        "response.json",
-        "1-the-photo.png",
-    }
+    assert names == {"prompt.md", "schema.json", "request.json", "response.json", "1-the-photo.png"}
     prompt = (folder / "prompt.md").read_text()
     for part in (requests.system, requests.prompt, "1-the-photo.png: the photo (30 x 20 px)"):
         assert part in prompt

@@ -25,13 +25,7 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.io import bounded_by, open_image, read_arrays, read_json, read_model
 from neoworld_mjx.io.limited_worker import call_limited
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.spec import (
-    Box,
-    SceneObject,
-    SceneSpec,
-    read_scene,
-    single_object_scene,
-)
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec, read_scene, single_object_scene
 from tests.support.mechanisms import single
 
 LIBRARY = Path(__file__).parents[2] / "neoworld_mjx"
@@ -148,8 +142,6 @@ FILES: dict[str, Row] = {
     # Pictures.
     "pixels": ("a.png", lambda: png(12_000, 12_000), load_photo, "144 megapixels; the limit"),
     "decoding": ("a.png", lambda: png(11_000, 11_000), load_photo, "memory"),
-    "eps": ("a.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%EOF\n", load_photo, "not an image"),
-    "half": ("a.png", lambda: png(200, 200)[:60], load_photo, "damaged or truncated|not an image"),
     # URDF, MJCF, USD and meshes.
     "entities": (
         "a.urdf",

@@ -12,10 +12,7 @@ from PIL import Image
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.known_camera import KnownCamera
-from neoworld_mjx.parse.draw_measured import (
-    DEPTH_INK,
-    draw_measured,
-)
+from neoworld_mjx.parse.draw_measured import DEPTH_INK, draw_measured
 from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.prompts import correction_request, parse_request
 from neoworld_mjx.parse.schema import ParsedScene
@@ -69,13 +66,7 @@ def test_depths_are_written_where_they_are_measured():
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"focal": None},
-        {"focal_sd": 0.03},
-        {"pitch": None},
-        {"height": None},
-        {"height": -0.1},
-    ],
+    [{"focal": None}, {"focal_sd": 0.03}, {"pitch": None}, {"height": None}, {"height": -0.1}],
 )
 def test_no_grid_without_the_whole_camera(change):
     known = dataclasses.replace(KNOWN, **change)

@@ -19,6 +19,10 @@ def points(corners):
     return [{"x": x, "y": y} for x, y in corners]
 
 
+def polygon(*corners):
+    return {"shape": "polygon", "points": points(corners)}
+
+
 def parsed(outline, *objects) -> SceneTree:
     data = {"camera": answers.answer()["camera"]}
     data["objects"] = [answers.table(outline=outline), *objects]
@@ -27,7 +31,7 @@ def parsed(outline, *objects) -> SceneTree:
 
 def test_a_polygon_runs_anticlockwise_and_fills_its_box():
     clockwise = [(x * 1.02, y) for x, y in L_SHAPE[::-1]]
-    node = parsed({"shape": "polygon", "points": points(clockwise)}).node("table")
+    node = parsed(polygon(*clockwise)).node("table")
     corners = node.outline.corners()
     assert corners.min(axis=0) == pytest.approx([-0.5, -0.5])
     assert corners.max(axis=0) == pytest.approx([0.5, 0.5])
@@ -38,35 +42,20 @@ def test_a_polygon_runs_anticlockwise_and_fills_its_box():
 @pytest.mark.parametrize(
     ("outline", "words"),
     [
-        ({"shape": "polygon", "points": points(L_SHAPE[:2])}, "3 to 24 points, got 2"),
-        ({"shape": "polygon", "points": points(L_SHAPE * 5)}, "at most 24 items"),
+        (polygon(*L_SHAPE[:2]), "3 to 24 points, got 2"),
+        (polygon(*L_SHAPE * 5), "at most 24 items"),
         ({"shape": "round", "points": points(L_SHAPE)}, "round has no points"),
         (
-            {
-                "shape": "polygon",
-                "points": points([(-0.5, -0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5)]),
-            },
+            polygon((-0.5, -0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5)),
             "edges from points 0 and 2",
         ),
         (
-            {
-                "shape": "polygon",
-                "points": points([(-0.5, -0.5), (0.5, -0.5), (0.5, -0.499), (-0.5, 0.5)]),
-            },
+            polygon((-0.5, -0.5), (0.5, -0.5), (0.5, -0.499), (-0.5, 0.5)),
             "points 1 and 2 are the same",
         ),
-        (
-            {
-                "shape": "polygon",
-                "points": points([(-0.5, -0.5), (0.5, 0.48), (0.5, 0.5), (-0.5, -0.48)]),
-            },
-            "encloses 0.0",
-        ),
-        (
-            {"shape": "polygon", "points": points([(x / 2, y) for x, y in L_SHAPE])},
-            r"reaches x -0.25 .. 0.25 and y -0.5 .. 0.5",
-        ),
-        ({"shape": "polygon", "points": points([(x * 2, y) for x, y in L_SHAPE])}, "points.0.0"),
+        (polygon((-0.5, -0.5), (0.5, 0.48), (0.5, 0.5), (-0.5, -0.48)), "encloses 0.0"),
+        (polygon(*((x / 2, y) for x, y in L_SHAPE)), r"reaches x -0.25 .. 0.25 and y -0.5 .. 0.5"),
+        (polygon(*((x * 2, y) for x, y in L_SHAPE)), "points.0.0"),
     ],
 )
 def test_a_bad_outline_is_refused_by_name_and_reason(outline, words):
@@ -84,7 +73,7 @@ def test_the_cut_off_corner_of_an_outline_supports_nothing():
         return [issue.node for issue in issues if issue.code == "footprint"]
 
     assert outside(None) == []
-    assert outside({"shape": "polygon", "points": points(L_SHAPE)}) == ["left"]
+    assert outside(polygon(*L_SHAPE)) == ["left"]
     rim = answers.item("rim", (0.3, 0.7, 0.0), (0.1, 0.1, 0.1))
     issues = check_tree(parsed({"shape": "round"}, rim, middle))
     assert [i.node for i in issues if i.code == "footprint"] == ["rim"]
@@ -120,10 +109,7 @@ def test_a_surface_becomes_a_named_material_with_a_pattern():
     ("change", "words"),
     [
         ({"colour": [0.5, 0.5]}, r"surface.colour\n.*must be three numbers, got 2"),
-        (
-            {"second_colour": [0.5, 0.5, 90]},
-            r"second_colour.2\n.*must lie in 0 .. 1, got 90",
-        ),
+        ({"second_colour": [0.5, 0.5, 90]}, r"second_colour.2\n.*must lie in 0 .. 1, got 90"),
         ({"step": 0}, r"surface.step\n.*must lie in 0.0001 .. 10, got 0"),
         ({"material": "cheese"}, "material"),
     ],

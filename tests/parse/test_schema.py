@@ -65,12 +65,7 @@ def test_cues_are_in_original_pixels_axes_and_radians():
 
 @pytest.mark.parametrize(
     ("towards", "top"),
-    [
-        ("forward", (1, 0, 0)),
-        ("backward", (-1, 0, 0)),
-        ("left", (0, 1, 0)),
-        ("right", (0, -1, 0)),
-    ],
+    [("forward", (1, 0, 0)), ("backward", (-1, 0, 0)), ("left", (0, 1, 0)), ("right", (0, -1, 0))],
 )
 def test_a_tilt_moves_the_top_in_its_direction(towards, top):
     quat = tilt_quat(ParsedTilt(towards=towards, degrees=90))

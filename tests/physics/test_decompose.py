@@ -11,13 +11,7 @@ from shapely import Polygon
 from neoworld_mjx.cache import VARIABLE
 from neoworld_mjx.config import FileOptions
 from neoworld_mjx.io import bounded_by
-from neoworld_mjx.physics.decompose import (
-    Budget,
-    _coacd,
-    coacd_installed,
-    convex_pieces,
-    outward,
-)
+from neoworld_mjx.physics.decompose import Budget, _coacd, coacd_installed, convex_pieces, outward
 
 pytestmark = pytest.mark.skipif(not coacd_installed(), reason="CoACD is not installed")
 OUTER, INNER = 0.1, 0.085

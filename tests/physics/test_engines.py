@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import EngineError
 from neoworld_mjx.physics.derived import invweights
-from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus, open_engine
+from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine, open_batch
@@ -124,8 +123,3 @@ def test_joint_shifts_are_angles_and_distances_from_each_candidates_start():
     moved = np.abs(batch.bind("qpos") - start)[:, static.mjm.jnt_qposadr[static.joints]]
     assert np.allclose(rollout.joint_shift[:, 0], moved, atol=1e-7)
     assert moved.max() > 1e-4
-
-
-def test_an_unknown_engine_names_the_valid_ones():
-    with pytest.raises(EngineError, match="native"):
-        open_engine("isaac")

@@ -5,14 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics.layout import (
-    Layout,
-    arrange,
-    compose_poses,
-    frames,
-    heights,
-    rotation,
-)
+from neoworld_mjx.physics.layout import Layout, arrange, compose_poses, frames, heights, rotation
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -43,11 +36,7 @@ def chain():
 
 def layout(xp):
     """The parent turned to 90 degrees at twice its size; the child turned to 180 in the world."""
-    numbers = (
-        [[[0.0, 0.0], [0.1, 0.2]]],
-        [[np.pi / 4, np.pi / 3]],
-        [[np.log(2.0), np.log(3.0)]],
-    )
+    numbers = ([[[0.0, 0.0], [0.1, 0.2]]], [[np.pi / 4, np.pi / 3]], [[np.log(2.0), np.log(3.0)]])
     return Layout(*(xp.asarray(x, np.float32) for x in numbers))
 
 

@@ -3,15 +3,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.mjcf import START, body_name, joint_order, to_mjspec
-from neoworld_mjx.spec import (
-    Box,
-    SceneObject,
-    SceneSpec,
-    inertial,
-    link_poses,
-    pieces,
-    world_poses,
-)
+from neoworld_mjx.spec import Box, SceneObject, SceneSpec, inertial, link_poses, pieces, world_poses
 from neoworld_mjx.spec.pose import matrix, pose
 from tests.support import mechanisms as made
 from tests.support.mechanisms import cabinet

@@ -1,6 +1,5 @@
 """Motion under a tilted pull: what rests, slides, topples, rolls and falls shut, as it should."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -62,8 +61,7 @@ def rollouts(slope):
     still = Layout.zero(4, 6)
     poses = slope.place(Layout(jnp.asarray(xy), still.yaw, still.log_scale))
     ours = MjxEngine().rollout(slope, poses, duration=DURATION)
-    back = MjxEngine().rollout(slope, jax.tree.map(lambda x: x[::-1], poses), duration=DURATION)
-    return ours, back, NativeEngine().rollout(slope, poses, duration=DURATION)
+    return ours, NativeEngine().rollout(slope, poses, duration=DURATION)
 
 
 def moved(rollout, name, slope):
@@ -89,7 +87,7 @@ def test_a_lid_falls_shut_and_stays_within_its_limits(slope, rollouts):
 
 
 def test_motion_is_that_of_mujoco(slope, rollouts):
-    ours, _, theirs = rollouts
+    ours, theirs = rollouts
     # On its one soft contact the ball bobs by millimetres.
     for name, bound in {"rest": 3e-3, "slide": 3e-3, "ball": 1e-2, "chest": 3e-3}.items():
         k = slope.names.index(name)
@@ -100,13 +98,13 @@ def test_motion_is_that_of_mujoco(slope, rollouts):
 
 
 def test_overlap_is_pushed_apart_without_an_explosion(slope, rollouts):
-    ours, _, theirs = rollouts
+    ours, theirs = rollouts
     for name in ("slide", "tall"):
         assert np.linalg.norm(moved(ours, name, slope)[1]) < 0.6
     assert ours.status[1] == theirs.status[1] == int(RolloutStatus.OK)
 
 
 def test_a_candidate_that_is_not_a_number_fails_alone(rollouts):
-    ours, _, _ = rollouts
+    ours, _ = rollouts
     assert ours.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
     assert np.array_equal(ours.pos[0], ours.pos[3])

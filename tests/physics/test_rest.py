@@ -13,10 +13,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.physics.placed import (
-    TILT_BOUND_LYING,
-    settling_displacement,
-)
+from neoworld_mjx.physics.placed import TILT_BOUND_LYING, settling_displacement
 from neoworld_mjx.physics.rest import rest, settle, settle_scene, with_damped_joints
 from neoworld_mjx.spec import Box, with_world_poses, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
@@ -148,11 +145,7 @@ def test_a_tilt_that_is_no_error_remains():
 
 def test_joints_stay_while_their_object_settles():
     before = scenes.furnished()
-    lifted = [
-        item.model_copy(update={"z": item.z + 0.02}) if item.name == "cabinet" else item
-        for item in before.objects
-    ]
-    before = before.model_copy(update={"objects": tuple(lifted)})
+    before = scenes.changed(before, "cabinet", z=before.object("cabinet").z + 0.02)
     after = settle_scene(before, OPTIONS)
     assert after.object("cabinet").joint_state == before.object("cabinet").joint_state
     assert world_poses(before)["cabinet"].pos[2] - world_poses(after)["cabinet"].pos[2] > 0.015
@@ -165,9 +158,6 @@ def test_held_joints_do_not_move_in_a_free_fall():
     free = NativeEngine().rollout(model, poses, duration=1.0)
     assert held.joint_shift.max() < 2e-3 < 1e-2 < free.joint_shift.max()
     assert with_damped_joints(model).static is with_damped_joints(model).static
-
-
-SIZE = float(np.linalg.norm([0.1, 0.1, 0.02]))
 
 
 def test_children_move_with_their_parent():

@@ -7,9 +7,7 @@ import pytest
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import pad_scene
-from neoworld_mjx.physics.visibility import (
-    visibility,
-)
+from neoworld_mjx.physics.visibility import visibility
 from neoworld_mjx.render import render
 from neoworld_mjx.spec import Box, Material
 from tests.support import scenes

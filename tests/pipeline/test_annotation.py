@@ -10,11 +10,7 @@ from neoworld_mjx.parse.photo import load_photo
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import ANNOTATION, read_annotation, write_annotated
 from neoworld_mjx.spec import Box2D, Box3D, Camera
-from neoworld_mjx.view.annotated_tree import (
-    annotated_tree,
-    annotation_from_tree,
-    placed_box,
-)
+from neoworld_mjx.view.annotated_tree import annotated_tree, annotation_from_tree, placed_box
 from neoworld_mjx.view.annotation import (
     EXISTING_PROGRAM,
     GROUND,

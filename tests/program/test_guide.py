@@ -17,7 +17,7 @@ GIVEN = re.compile(r"given box ([\d.]+) x ([\d.]+) x ([\d.]+) m")
 
 
 @pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
-def test_every_block_builds_without_signals_and_deterministically(text: str):
+def test_every_block_builds_without_signals_and_passes_the_object_tests(text: str):
     built = build(text)
     assert built.spec is not None and built.signals == ()
     again = run(text)
@@ -27,13 +27,7 @@ def test_every_block_builds_without_signals_and_deterministically(text: str):
         low, high = bounds(built.spec)
         wanted = np.array([float(v) for v in given.groups()])
         assert np.abs((high - low) / wanted - 1).max() < 0.03
-
-
-@pytest.mark.parametrize("text", BLOCKS, ids=lambda text: re.search(r'Object\("(\w+)', text)[1])
-def test_every_block_passes_the_object_tests(text: str):
-    spec = build(text).spec
-    assert spec is not None
-    verdict = run_object_tests(spec).verdict
+    verdict = run_object_tests(built.spec).verdict
     assert verdict.passed, [(c.name, c.value) for c in verdict.checks if c.outcome == "FAIL"]
 
 

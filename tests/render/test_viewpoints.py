@@ -47,10 +47,7 @@ def test_joints_open_by_a_fraction_of_their_range(tmp_path):
 
 def test_render_accepts_cameras(neoworld, scene_file, tmp_path):
     shots = {}
-    for name, flags in {
-        "left": ("--azimuth", 90),
-        "right": ("--azimuth", -90),
-    }.items():
+    for name, flags in {"left": ("--azimuth", 90), "right": ("--azimuth", -90)}.items():
         out = tmp_path / f"{name}.png"
         assert neoworld("render", scene_file, "--width", 60, "--out", out, *flags)[0] == 0
         shots[name] = np.asarray(Image.open(out)).astype(int)

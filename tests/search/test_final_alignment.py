@@ -14,6 +14,7 @@ from neoworld_mjx.search.final_alignment import FinalAlignment, align_final
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.estimate import desk
+from tests.support.scenes import changed
 
 MOVED = {"box": (8.0, -6.0, 4.0, 2.0), "can": (-6.0, 6.0, 0.0, 0.0)}
 """Displacements of a correct composed scene by the refinement: dx, dy [mm], yaw [deg], size [%]."""
@@ -87,9 +88,7 @@ def test_depth_and_masks_are_evidence_again(monkeypatch, five, refined, photo, r
     depth = Evidence(depth=DepthImage(np.ones((4, 4))))
     given = []
     monkeypatch.setattr(
-        final_alignment,
-        "align_again",
-        lambda *args, evidence: given.append(evidence) or right,
+        final_alignment, "align_again", lambda *args, evidence: given.append(evidence) or right
     )
     align_final(five, refined, photo, evidence=depth)
     assert given == [depth]
@@ -123,11 +122,8 @@ def test_an_object_that_agrees_less_with_the_photograph_keeps_its_pose(
 
 
 def test_an_object_that_does_not_rest_keeps_its_pose(monkeypatch, five, refined, photo, right):
-    falls = right.scene.object("can").model_copy(
-        update={"base_tilt": (np.cos(0.3), np.sin(0.3), 0.0, 0.0)}
-    )
-    objects = [falls if item.name == "can" else item for item in right.scene.objects]
-    returning(monkeypatch, right.scene.model_copy(update={"objects": tuple(objects)}), right)
+    falls = changed(right.scene, "can", base_tilt=(np.cos(0.3), np.sin(0.3), 0.0, 0.0))
+    returning(monkeypatch, falls, right)
     found = align_final(five, refined, photo)
     assert found.aligned == ("box",)
 

@@ -125,13 +125,8 @@ def test_each_kind_of_fault_names_its_objects(initial):
 def test_displacement_compares_with_the_placed_poses():
     model = compile_scene(towers(), samples=16)
     spec = model.spec
-    shifted = [
-        item.model_copy(update={"xy": (item.xy[0], item.xy[1] + 0.2)})
-        if item.name == "base"
-        else item
-        for item in spec.objects
-    ]
-    end = spec.model_copy(update={"objects": tuple(shifted)})
+    x, y = spec.object("base").xy
+    end = scenes.changed(spec, "base", xy=(x, y + 0.2))
     moved = lambda scene: dict(
         zip(
             model.names,

@@ -8,11 +8,7 @@ from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.search.cem import CEM, open_cem
-from neoworld_mjx.search.optimizer import (
-    OPTIMIZERS,
-    Optimizer,
-    optimizer_factory,
-)
+from neoworld_mjx.search.optimizer import OPTIMIZERS, Optimizer, optimizer_factory
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 

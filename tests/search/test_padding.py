@@ -9,9 +9,7 @@ from neoworld_mjx.config import RefineOptions, load_config
 from neoworld_mjx.physics import model
 from neoworld_mjx.physics.engine import rollout
 from neoworld_mjx.physics.placed import measure_settled
-from neoworld_mjx.physics.scene_arrays import (
-    pad_scene,
-)
+from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.search import refine
 from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.search.cem import open_cem

@@ -16,7 +16,6 @@ from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.search import refine, scene_refinement
 from neoworld_mjx.spec import Box, world_poses
-from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
 
 UNSETTLED = SettleOptions(enabled=False)
@@ -130,9 +129,9 @@ def test_a_scene_that_passes_needs_no_iteration(scene):
 
 
 def test_the_same_seed_gives_the_same_bits():
-    first = refine(toppling(), options(32, 3), seed=5)
-    second = refine(toppling(), options(32, 3), seed=5)
-    other = refine(toppling(), options(32, 3), seed=6)
+    first = refine(toppling(), options(16, 2), seed=5)
+    second = refine(toppling(), options(16, 2), seed=5)
+    other = refine(toppling(), options(16, 2), seed=6)
     assert first.scene.to_json() == second.scene.to_json()
     for name, values in first.history.items():
         same = np.array_equal(values, second.history[name], equal_nan=values.dtype.kind == "f")
@@ -180,25 +179,6 @@ def test_the_winner_is_the_valid_candidate_of_largest_reward_that_passes():
     assert ranked[result.finalists_tried - 1] == place
     assert result.scores["reward"] == history["reward"][result.winner]
     assert result.scores.keys() == {"reward", "valid", "s_sem", "prior", "d_pen", "d_drift"}
-
-
-def leaning(degrees=8.0):
-    """A slab in the air by one edge, at a tilt that no layout can change, and a block."""
-    tilt = tuple(from_axis_angle([1, 0, 0], math.radians(degrees)).tolist())
-    return scenes.on_table(
-        (block("slab", (0.1, 0.1, 0.02)), (0, 0), 0.0, {"base_tilt": tilt}),
-        (block("block", (0.04, 0.04, 0.06)), (0.0, 0.2), 0.0, {}),
-        name="leaning",
-    )
-
-
-def test_a_tilt_that_no_layout_can_change_settles_unless_disabled():
-    never = refine(leaning(), unsettled(16, 2), seed=1, engine="native")
-    assert not never.passed and never.measure.max_tilt_deg > 5
-    settled = refine(leaning(), options(16, 2), seed=1, engine="native")
-    assert settled.passed and settled.rollouts == 0
-    _, x, y, _ = settled.scene.object("slab").base_tilt
-    assert math.hypot(x, y) < 1e-3 and set(settled.kept) == {"slab", "block"}
 
 
 def test_a_custom_start_is_the_center_of_the_search():

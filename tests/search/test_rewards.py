@@ -1,5 +1,4 @@
 import functools
-import sys
 from inspect import unwrap
 
 import equinox as eqx
@@ -11,7 +10,7 @@ import pytest
 from neoworld_mjx.cache import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
+from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import Placed
@@ -20,7 +19,7 @@ from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.search.problem import open_terms
 from neoworld_mjx.spec import Box
 from tests.support import scenes
-from tests.support.scenes import compile_scene, random_layout
+from tests.support.scenes import compile_scene
 from tests.support.visible import as_parsed
 
 
@@ -74,15 +73,6 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
     assert float(turned[1, ball]) == pytest.approx(np.radians(10.0), abs=1e-4)
     found = rewards.d_drift(scene, Layout.zero(2, 4), made)
     assert found == pytest.approx(np.array([3.0, 2.0]), abs=1e-2)
-
-
-def scored(scene, layouts, rollout, **reward):
-    problem = open_problem(scene, RefineOptions(reward=RewardOptions(**reward)))
-    poses = scene.place(layouts)
-    pop, count = layouts.yaw.shape
-    depth, settled = np.zeros((pop, count, count)), np.zeros((pop, count))
-    candidates = Placed(poses, np.float32(depth), as_parsed(scene.photo, pop), np.float32(settled))
-    return evaluate(scene, problem, layouts, rollout, candidates)
 
 
 @pytest.mark.parametrize(
@@ -160,53 +150,6 @@ def test_drift_of_joints_is_their_peak_over_the_bound_of_their_kind():
     assert found[:, scene.names.index("table")].tolist() == [0.0, 0.0]
     drift = rewards.d_drift(scene, Layout.zero(2, 2), rollout)
     assert drift == pytest.approx(np.array([2.0, 3.0]), rel=1e-5)
-
-
-def test_failed_candidates_score_minus_infinity_and_are_never_valid():
-    scene = compile_scene(scenes.blocks())
-    layouts = random_layout(scene, 4, spread=0.1)
-    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
-    broken = eqx.tree_at(
-        lambda r: r.status,
-        rollout,
-        jnp.asarray(rollout.status).at[1].set(int(RolloutStatus.FAILED)),
-    )
-    found = scored(scene, layouts, broken)
-    assert float(found.reward[1]) == -np.inf
-    assert not bool(found.valid[1])
-    assert np.all(np.isfinite(np.asarray(found.reward)[[0, 2, 3]]))
-
-
-def test_s_sem_is_highest_for_the_layout_in_the_photo():
-    scene = compile_scene(scenes.blocks())
-    count = len(scene.names)
-    low, ball = scene.names.index("low"), scene.names.index("ball")
-    xy = np.zeros((4, count, 2), np.float32)
-    xy[1, ball, 1] = -0.35  # to the other side
-    size = np.zeros((4, count), np.float32)
-    size[2, low] = -0.3  # relatively smaller
-    xy[3, ball, 1] = -0.1  # into the block
-    found = rewards.s_sem(scene, Layout(jnp.asarray(xy), jnp.zeros((4, count)), jnp.asarray(size)))
-    assert float(found[0]) == pytest.approx(1.0, abs=1e-3)
-    assert np.all(np.asarray(found[1:]) < 0.95)
-    assert np.all((np.asarray(found) >= 0) & (np.asarray(found) <= 1))
-
-
-def higher_is_better(scene, layouts, rollout):
-    """Return the height of the highest object at the end [m]."""
-    return jnp.max(rollout.pos[:, -1, :, 2], axis=-1)
-
-
-def test_a_user_defined_term_enters_the_reward_and_the_history(monkeypatch):
-    scene = compile_scene(scenes.blocks())
-    layouts = random_layout(scene, 4, spread=0.1)
-    rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
-    monkeypatch.setitem(sys.modules, "own_rewards", sys.modules[higher_is_better.__module__])
-    with_term = scored(scene, layouts, rollout, terms={"own_rewards:higher_is_better": 2.0})
-    without = scored(scene, layouts, rollout)
-    height = np.asarray(higher_is_better(scene, layouts, rollout))
-    assert np.asarray(with_term.terms["higher_is_better"]) == pytest.approx(height)
-    assert np.asarray(with_term.reward - without.reward) == pytest.approx(2 * height, abs=1e-5)
 
 
 @pytest.mark.parametrize(

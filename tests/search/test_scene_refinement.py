@@ -27,12 +27,7 @@ def options(**given):
 
 @pytest.mark.parametrize(
     "name, population, opened",
-    [
-        ("auto", 256, "native"),
-        ("auto", 257, "auto"),
-        ("native", 4096, "native"),
-        ("mjx", 8, "mjx"),
-    ],
+    [("auto", 256, "native"), ("auto", 257, "auto"), ("native", 4096, "native"), ("mjx", 8, "mjx")],
 )
 def test_automatic_engines_leave_small_populations_to_the_cores(
     monkeypatch, name, population, opened

@@ -141,7 +141,7 @@ def test_a_late_score_does_not_count_and_is_reported(model, rounds):
         return judged(rgb)
 
     with (
-        MessagesServer(answer, delay_s=0.0, failing=0.0) as server,
+        MessagesServer(answer) as server,
         panel_to(server.url) as panel,
         opened(model, panel, timeout_s=0.0) as scorer,
     ):
@@ -164,7 +164,7 @@ def test_a_late_score_does_not_count_and_is_reported(model, rounds):
 def test_failures_fall_back_to_geometry_and_are_reported(
     model, rounds, given, answer, scored, reason
 ):
-    with socket.socket() as free, MessagesServer(answer, delay_s=0.0, failing=0.0) as server:
+    with socket.socket() as free, MessagesServer(answer) as server:
         free.bind(("127.0.0.1", 0))
         closed = f"http://127.0.0.1:{free.getsockname()[1]}"
         url = closed if "base_url" in given else server.url
@@ -183,7 +183,7 @@ def test_failures_fall_back_to_geometry_and_are_reported(
 def test_a_tape_replays_the_scores_without_a_server(model, rounds, tmp_path):
     tape = tmp_path / "answers.tape.json"
     with (
-        MessagesServer(delay_s=0.0, failing=0.2) as server,
+        MessagesServer(failing=0.2) as server,
         panel_to(server.url, record=tape) as panel,
         opened(model, panel) as scorer,
     ):
@@ -196,7 +196,7 @@ def test_a_tape_replays_the_scores_without_a_server(model, rounds, tmp_path):
 
 def test_only_the_best_finite_candidates_are_requested_and_pending_ones_end(model, rounds):
     hang = threading.Event()
-    with MessagesServer(lambda _: str(hang.wait(30)), delay_s=0.0, failing=0.0) as server:
+    with MessagesServer(lambda _: str(hang.wait(30))) as server:
         with panel_to(server.url) as panel, opened(model, panel, top=3) as scorer:
             reward = np.full(POP, -np.inf)
             reward[[0, 2, 4, 5]] = 0.1, 0.5, 0.5, np.nan

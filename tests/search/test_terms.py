@@ -128,17 +128,6 @@ def test_a_user_defined_optimizer(scene):
         refine(scene, options(optimizer="cems"))
 
 
-def test_a_term_moves_objects_that_already_rest(scene):
-    """Only the built-in terms imply that a scene which passes is best as it is."""
-    o = options(settle={"enabled": True}, check_duration_s=0.5)
-    passing = refine(scene, o, engine="native")
-    assert passing.passed and passing.rollouts == 1
-    moved = refine(scene, o, engine="native", terms=[Term("right", right, 200.0)])
-    assert moved.rollouts == 1 + 2 * 8
-    assert np.abs(moved.history["xy"][1]).max() > 0.001
-    assert moved.history["right"][moved.winner] > 0.0
-
-
 def scalar(scene, layouts, rollout):
     return jnp.mean(layouts.yaw)
 

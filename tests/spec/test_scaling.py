@@ -70,26 +70,8 @@ def test_every_part_of_an_object_is_scalable():
         assert set(model.scalings) == set(model.model_fields)
 
 
-LAW = {
-    "revolute": {
-        "lower": 0,
-        "armature": 5,
-        "stiffness": 4,
-        "damping": 4.5,
-        "friction": 4,
-        "effort": 4,
-        "velocity": -0.5,
-    },
-    "prismatic": {
-        "lower": 1,
-        "armature": 3,
-        "stiffness": 2,
-        "damping": 2.5,
-        "friction": 3,
-        "effort": 3,
-        "velocity": 0.5,
-    },
-}
+LAW_OF = ("lower", "armature", "stiffness", "damping", "friction", "effort", "velocity")
+LAW = {"revolute": (0, 5, 4, 4.5, 4, 4, -0.5), "prismatic": (1, 3, 2, 2.5, 3, 3, 0.5)}
 
 
 @pytest.mark.parametrize(("kind", "mass"), list(itertools.product(LAW, (None, 1.0))))
@@ -97,7 +79,7 @@ def test_exponents_of_joints_are_those_of_the_documented_law(kind: str, mass: fl
     joint = JointSpec(name="j", type=kind, parent="a", child="b", upper=1.0)
     child = PartSpec.model_construct(name="b", geoms=(), mass=mass)
     powers = joint_exponents(joint, child)
-    for name, power in LAW[kind].items():
+    for name, power in zip(LAW_OF, LAW[kind], strict=True):
         weighted = name not in ("lower", "velocity")
         assert powers[name] == power - (3 if weighted and mass else 0), name
     assert (powers["pos"], powers["axis"], powers["upper"]) == (1, 0, powers["lower"])

@@ -68,6 +68,10 @@ def test_volumes_against_formulas():
     assert volume == pytest.approx((6 - 0.5 - 0.155) * 0.02)
 
 
+def strip(*points) -> Sweep:
+    return Sweep(path=((0, 0, 0), *points), width=(0.01,), thickness=(0.01,))
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -83,28 +87,11 @@ def test_volumes_against_formulas():
             "inside",
         ),
         (lambda: RoundedBox(size=(1, 1, 0.1), radius=0.06), "too large"),
-    ],
-)
-def test_invalid_shapes_are_refused_with_the_reason(make, words):
-    with pytest.raises(ValidationError, match=words):
-        make()
-
-
-def strip(*points) -> Sweep:
-    return Sweep(path=((0, 0, 0), *points), width=(0.01,), thickness=(0.01,))
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
         (
             lambda: strip((0.1, 0, 0), (0.01, 0.01, 0)),
             r"turns by 174 degrees at path\[1\], at most 120",
         ),
-        (
-            lambda: strip((0.1, 0, 0), (0.1, 0, 0)),
-            r"repeats a point: path\[1\] and path\[2\]",
-        ),
+        (lambda: strip((0.1, 0, 0), (0.1, 0, 0)), r"repeats a point: path\[1\] and path\[2\]"),
         (
             lambda: Lathe(profile=((0, 0), (0.05, 0), (0.05, 0.1), (0.04, 0.08))),
             r"from profile\[2\] \(0.05, 0.1\) to profile\[3\] \(0.04, 0.08\)",
@@ -113,16 +100,13 @@ def strip(*points) -> Sweep:
             lambda: Lathe(profile=((0, 0), (0.05, 0), (0, 0.1)), thickness=0.002),
             r"only at its first point, not at profile\[2\] \(0, 0.1\)",
         ),
-        (
-            lambda: Lathe(profile=((0, 0), (-0.05, 0), (0, 0.1))),
-            r"profile\[1\] is \(-0.05, 0\)",
-        ),
+        (lambda: Lathe(profile=((0, 0), (-0.05, 0), (0, 0.1))), r"profile\[1\] is \(-0.05, 0\)"),
         (
             lambda: Extrusion(outline=((0, 0), (2, 2), (2, 0), (0, 1)), height=0.1),
             r"edges from outline\[0\] and outline\[2\]",
         ),
     ],
 )
-def test_errors_name_the_point_or_the_angle(make, words):
+def test_invalid_shapes_are_refused_with_the_reason(make, words):
     with pytest.raises(ValidationError, match=words):
         make()

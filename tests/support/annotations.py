@@ -20,11 +20,7 @@ def coffee(cup_kind: str = "cup") -> Annotation:
         pitch=math.radians(PITCH_DEG),
     )
     saucer = AnnotatedObject(
-        name="saucer",
-        kind="bowl",
-        material="ceramic",
-        size=(0.12, 0.12, 0.016),
-        box=_box(SAUCER),
+        name="saucer", kind="bowl", material="ceramic", size=(0.12, 0.12, 0.016), box=_box(SAUCER)
     )
     cup = AnnotatedObject(
         name="cup", kind=cup_kind, material="ceramic", parent="saucer", box=_box(CUP)

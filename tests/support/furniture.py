@@ -1,14 +1,6 @@
 """Small furniture that passes the object tests; tests change one joint field of it."""
 
-from neoworld_mjx.spec import (
-    Box,
-    GeomSpec,
-    JointSpec,
-    Material,
-    ObjectSpec,
-    PartSpec,
-    recentred,
-)
+from neoworld_mjx.spec import Box, GeomSpec, JointSpec, Material, ObjectSpec, PartSpec, recentred
 
 WOOD = Material(name="wood", density=600, friction=0.5)
 

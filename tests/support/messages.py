@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import socket
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -44,69 +43,29 @@ class MessagesServer(ModelServer):
     Args:
         answer: gives the text about the last picture of a request, uint8 [height, width, 3].
         delay_s: duration of every call.
-        at_once: calls beyond so many wait for their turn.
         failing: share of calls that fail, the four ways in equal parts.
-        seed: of the choice of calls that fail.
     """
 
     def __init__(
         self,
         answer: Callable[[np.ndarray], str] = judged,
         *,
-        delay_s: float = 3.0,
-        at_once: int = 8,
-        failing: float = 0.1,
-        seed: int = 0,
+        delay_s: float = 0.0,
+        failing: float = 0.0,
     ) -> None:
         super().__init__("anthropic", MessagesServer._play)
-        self.answer, self.delay_s, self.failing, self.seed = answer, delay_s, failing, seed
-        self.failures: Counter[str] = Counter()
-        self.first_pictures: set[str] = set()
-        """Digests of the pictures that came first in requests."""
+        self.answer, self.delay_s, self.failing = answer, delay_s, failing
         self.sent: Counter[str] = Counter()
         """How often each last picture came."""
-        self.most_served_at_once = 0
-        self._served_at_once = 0
-        self._gate = threading.Semaphore(at_once)
-
-    @property
-    def calls(self) -> int:
-        """Number of calls so far."""
-        return self.sent.total()
 
     def _play(self, connection: socket.socket, body: dict[str, Any]) -> None:
-        images = [
-            block["source"]["data"]
-            for block in body["messages"][0]["content"]
-            if block["type"] == "image"
-        ]
-        last = hashlib.sha256(images[-1].encode()).hexdigest()
+        blocks = body["messages"][0]["content"]
+        image = [block["source"]["data"] for block in blocks if block["type"] == "image"][-1]
+        key = hashlib.sha256(image.encode()).hexdigest()
         with self.lock:
-            self.sent[last] += 1
-            self.first_pictures.add(hashlib.sha256(images[0].encode()).hexdigest())
-            failure = self._failure(last, self.sent[last])
-            if failure is not None:
-                self.failures[failure] += 1
-        with self._gate:
-            with self.lock:
-                self._served_at_once += 1
-                self.most_served_at_once = max(self.most_served_at_once, self._served_at_once)
-            try:
-                time.sleep(self.delay_s)
-                self._reply(connection, body, images[-1], failure)
-            finally:
-                with self.lock:
-                    self._served_at_once -= 1
-
-    def _failure(self, picture: str, attempt: int) -> Failure | None:
-        draw = hashlib.sha256(f"{self.seed}:{picture}:{attempt}".encode()).digest()
-        if int.from_bytes(draw[:4], "big") / 2**32 >= self.failing:
-            return None
-        return FAILURES[draw[4] % len(FAILURES)]
-
-    def _reply(
-        self, connection: socket.socket, body: dict[str, Any], image: str, failure: Failure | None
-    ) -> None:
+            self.sent[key] += 1
+            failure = self._failure(key, self.sent[key])
+        time.sleep(self.delay_s)
         if failure in ("429", "500"):
             fails(int(failure))(self, connection, body)
             return
@@ -117,3 +76,9 @@ class MessagesServer(ModelServer):
         whole = answer_of("anthropic", body["model"], text, usage=(700, 250), cache_read=2500)
         data = http(200, whole)
         connection.sendall(data[: len(data) // 2] if failure == "cut off" else data)
+
+    def _failure(self, picture: str, attempt: int) -> Failure | None:
+        draw = hashlib.sha256(f"0:{picture}:{attempt}".encode()).digest()
+        if int.from_bytes(draw[:4], "big") / 2**32 >= self.failing:
+            return None
+        return FAILURES[draw[4] % len(FAILURES)]

@@ -106,38 +106,18 @@ def answer_of(
 ) -> str:
     """Return the body of an answer; usage is (input, output) tokens."""
     if dialect == "anthropic":
-        message = {
-            "id": "m",
-            "type": "message",
-            "role": "assistant",
-            "model": model,
-            "content": [{"type": "text", "text": text}],
-            "stop_reason": {"end": "end_turn", "length": "max_tokens"}.get(stop, stop),
-            "stop_sequence": None,
-            "usage": {
-                "input_tokens": usage[0],
-                "output_tokens": usage[1],
-                "cache_read_input_tokens": cache_read,
-                "cache_creation_input_tokens": 0,
-            },
-        }
-        return json.dumps(message)
+        counts = dict(zip(("input_tokens", "output_tokens"), usage, strict=True))
+        counts |= {"cache_read_input_tokens": cache_read, "cache_creation_input_tokens": 0}
+        reason = {"end": "end_turn", "length": "max_tokens"}.get(stop, stop)
+        message = {"id": "m", "type": "message", "role": "assistant", "model": model}
+        message |= {"content": [{"type": "text", "text": text}], "usage": counts}
+        return json.dumps(message | {"stop_reason": reason, "stop_sequence": None})
     reason = {"end": "stop", "refusal": "content_filter"}.get(stop, stop)
-    choice = {
-        "index": 0,
-        "message": {"role": "assistant", "content": text},
-        "finish_reason": reason,
-    }
+    spoken = {"role": "assistant", "content": text}
     names = ("prompt_tokens", "completion_tokens", "total_tokens")
-    counts = dict(zip(names, (*usage, sum(usage)), strict=True))
-    completion = {
-        "id": "c",
-        "object": "chat.completion",
-        "created": 1,
-        "model": model,
-        "choices": [choice],
-        "usage": counts,
-    }
+    completion = {"id": "c", "object": "chat.completion", "created": 1, "model": model}
+    completion |= {"choices": [{"index": 0, "message": spoken, "finish_reason": reason}]}
+    completion |= {"usage": dict(zip(names, (*usage, sum(usage)), strict=True))}
     return json.dumps(completion)
 
 

@@ -1,7 +1,5 @@
 """Vessels, whose colliders must be hollow: a ball that is dropped into one stays in it."""
 
-from typing import NamedTuple
-
 import mujoco
 import numpy as np
 
@@ -63,23 +61,6 @@ RECTANGULAR = ("tray",)
 """Vessels into whose corners the ball may roll."""
 
 
-class Held(NamedTuple):
-    """Measures of one vessel, and the outcome of dropping a ball into it."""
-
-    name: str
-    pieces: int
-    colliders_cm3: float
-    solid_cm3: float
-    """Volume of the shapes; where two overlap, both count, as for the colliders."""
-    holds: bool
-    """Whether the ball, dropped from above, lies in the cavity after 1.5 s."""
-
-    @property
-    def ratio(self) -> float:
-        """Colliders' volume over the solid's."""
-        return self.colliders_cm3 / self.solid_cm3
-
-
 def vessel(name: str) -> ObjectSpec:
     """Build one of `VESSELS`."""
     # Run-time type checks of the tests slow the SDK down.
@@ -88,21 +69,16 @@ def vessel(name: str) -> ObjectSpec:
     return built.spec
 
 
-def held(name: str) -> Held:
-    """Measure one of `VESSELS` and drop a ball of 12 mm radius into it."""
-    spec = vessel(name)
-    shapes = [geom.shape for geom in spec.parts[0].geoms]
+def fullness(name: str) -> float:
+    """Volume of the colliders over that of the shapes; where two shapes overlap, both count."""
+    shapes = [geom.shape for geom in vessel(name).parts[0].geoms]
     pieces = [piece for shape in shapes for piece in shape.pieces()]
-    return Held(
-        name,
-        len(pieces),
-        1e6 * sum(mass_properties(piece)[0] for piece in pieces),
-        1e6 * sum(shape.volume() for shape in shapes),
-        _holds(name, spec),
-    )
+    return sum(mass_properties(p)[0] for p in pieces) / sum(shape.volume() for shape in shapes)
 
 
-def _holds(name: str, spec: ObjectSpec) -> bool:
+def holds(name: str) -> bool:
+    """Whether a ball of 12 mm radius, dropped from above, lies in the cavity after 1.5 s."""
+    spec = vessel(name)
     low, high = bounds(spec)
     model = to_mjspec(spec, timestep=0.0005)
     start = [0.005, 0.003, high[2] + BALL_M + 0.005]

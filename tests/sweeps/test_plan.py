@@ -4,9 +4,7 @@ import pytest
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.sweeps import case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read_plan
-from tests.support.scenes import stored_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -94,16 +92,6 @@ def test_invalid_plans_are_rejected(tmp_path):
             read_plan(path, Plan)
     with pytest.raises(ConfigError, match="cannot read"):
         read_plan(tmp_path / "none.yaml", Plan)
-
-
-def test_a_run_folder_gives_its_composed_scene(tmp_path):
-    scene = stored_scene("crowded_2")
-    moved = scene.model_copy(update={"name": "refined"})
-    (tmp_path / "scene.json").write_text(moved.model_dump_json())
-    assert case(str(tmp_path)).scene.name == "refined"
-    (tmp_path / "compose").mkdir()
-    (tmp_path / "compose" / "scene.json").write_text(scene.model_dump_json())
-    assert case(str(tmp_path)).scene == scene
 
 
 XY, PEN, N = "refine.cem.sigma_xy", "refine.reward.w_pen", "refine.cem.population"

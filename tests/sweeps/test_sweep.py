@@ -146,14 +146,16 @@ def test_an_existing_sweep_is_not_replaced_by_accident(swept, tmp_path):
 def test_an_interrupted_sweep_resumes(swept, computed, tmp_path):
     _, whole = swept
     keys, stop_at = computed
-    stop_at.add(4)
+    stop_at.add(3)
+    half = plan(axes=AXES | {SIGMA: [5]})
     with pytest.raises(KeyboardInterrupt):
-        sweep(plan(), tmp_path, cases=[SCENE])
-    assert len(read_rows(tmp_path)) == 3
+        sweep(half, tmp_path, cases=[SCENE])
+    assert len(read_rows(tmp_path)) == 2
     assert not json.loads((tmp_path / "sweep.json").read_text())["finished"]
-    result = sweep(plan(), tmp_path, cases=[SCENE], resume=True)
-    assert len(keys) == 4 + 5
-    assert [row["reward"] for row in result.rows] == [row["reward"] for row in whole.rows]
+    result = sweep(half, tmp_path, cases=[SCENE], resume=True)
+    assert len(keys) == 3 + 2
+    expected = [row["reward"] for row in whole.rows if row[SIGMA] == 5]
+    assert [row["reward"] for row in result.rows] == expected
 
 
 def test_shards_are_merged_to_the_whole_sweep(swept, tmp_path):

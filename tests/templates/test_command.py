@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx import cli
-from neoworld_mjx.templates import templates
 
 
 @pytest.fixture
@@ -19,12 +18,6 @@ def answer(capfd):
         return json.loads(capfd.readouterr().out)
 
     return command
-
-
-def test_every_template_is_listed(answer):
-    listed = answer()["templates"]
-    assert list(listed) == list(templates())
-    assert listed["drawer_cabinet"] == "drawer cabinet"
 
 
 def test_a_program_has_the_requested_values(answer, tmp_path):

@@ -12,12 +12,7 @@ from neoworld_mjx.program.ask import SynthesisResult
 from neoworld_mjx.program.synthesise import ProgramSource
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
-from neoworld_mjx.verify.critic import (
-    Finding,
-    MotionCritique,
-    ProposedEdit,
-    strips,
-)
+from neoworld_mjx.verify.critic import Finding, MotionCritique, ProposedEdit, strips
 from neoworld_mjx.verify.repairs import repair
 from neoworld_mjx.verify.verification import revise_with_models
 from tests.support import answers

@@ -186,9 +186,7 @@ def test_text_from_models_is_escaped(finished):
         json.dumps(
             {
                 "passed": False,
-                "checks": [
-                    {"scenario": "static", "name": EVIL, "outcome": "FAIL", "hint": EVIL},
-                ],
+                "checks": [{"scenario": "static", "name": EVIL, "outcome": "FAIL", "hint": EVIL}],
                 "seen": [EVIL],
             }
         )

@@ -62,18 +62,17 @@ def test_a_joint_moves_its_part_and_the_simulation_starts_there(cabinet):
 def test_viewer_names_the_evidence_of_an_object(tmp_path):
     scene = scenes.coffee()
     known = PoseUncertainty(along=0.004, across=0.001, yaw=0.03, log_scale=0.02)
-    cup = scene.object("cup").model_copy(update={"uncertainty": known})
-    objects = tuple(cup if item.name == "cup" else item for item in scene.objects)
     depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.0, "refused": ""}
     change = {"evidence": "none", "reason": "it is hidden", "depth": depth}
     with RunFolder(tmp_path / "out", Config()) as run, run.step("compose", {}) as stage:
         (stage / "compose").mkdir()
-        composed = scene.model_copy(update={"objects": objects})
+        composed = scenes.changed(scene, "cup", uncertainty=known)
         (stage / "compose" / "scene.json").write_text(composed.to_json())
         align = {"objects": {"cup": change}}
         (stage / "compose" / "align.json").write_text(json.dumps(align))
     target = open_target(tmp_path / "out", Config())
-    facts = object_facts(target, target.after.object("cup"))
+    cup = target.after.object("cup")
+    facts = object_facts(target, cup)
     assert "contour: not used: it is hidden" in facts
     assert f"puts it 0 mm above {cup.parent}" in " ".join(facts)
     assert "known to: along the view ±4 mm, across ±1 mm, heading ±2°, size ±2 %" in facts
