@@ -58,31 +58,38 @@ class TaskState(eqx.Module):
     reward: Array
     done: Array
     metrics: dict[str, Array]
+    delay: Array
+    """Control steps after which an action acts; the initial state is held until the first does."""
+    recent: Array
+    """Latest actions, the last one first, shape [largest delay, action]."""
 
 
 class PolicyEnv:
     """Environment of a task for the optimization; see `ppo.Trainable`."""
 
-    def __init__(self, env: MjxEnv, task: SceneTask, horizon: int) -> None:
+    def __init__(self, env: MjxEnv, task: SceneTask, horizon: int, delay_steps: int = 0) -> None:
         self.env, self.task, self.horizon = env, task, horizon
         self.action_size = env.action_size
+        self._start = jnp.zeros((delay_steps, env.action_size))
 
     def reset(self, key: Array) -> TaskState:
         """Return an initial state."""
-        return self._state(self.env.reset(key))
+        delay = jax.random.randint(jax.random.fold_in(key, 1), (), 0, len(self._start) + 1)
+        return self._state(self.env.reset(key), delay, self._start)
 
     def reset_to(self, row: Array) -> TaskState:
         """Return the initial state of one of the variants."""
-        return self._state(self.env.reset_to(row))
+        return self._state(self.env.reset_to(row), row % (len(self._start) + 1), self._start)
 
     def step(self, state: TaskState, action: Array) -> TaskState:
         """Return the next state."""
         now = scene_state(state.env.data)
-        return self._state(
-            self.env.step(state.env, policy_action(self.env.controlled, now, action))
-        )
+        controlled, recent = self.env.controlled, jnp.stack([action, *state.recent])
+        acts = policy_action(controlled, now, recent[state.delay])
+        acts = jnp.where(state.env.info["step"] < state.delay, controlled.hold_action, acts)
+        return self._state(self.env.step(state.env, acts), state.delay, recent[:-1])
 
-    def _state(self, state: EnvState) -> TaskState:
+    def _state(self, state: EnvState, delay: Array, recent: Array) -> TaskState:
         world = scene_state(state.data)
         measured = {
             "success": self.task.success(world).astype(jnp.float32),
@@ -90,6 +97,5 @@ class PolicyEnv:
         }
         finite = state.done == 0
         metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), measured)
-        return TaskState(
-            state, policy_observation(self.task, world), state.reward, state.done, metrics
-        )
+        obs = policy_observation(self.task, world)
+        return TaskState(state, obs, state.reward, state.done, metrics, delay, recent)

@@ -142,7 +142,7 @@ def train(
         worlds=o.worlds,
         control_s=setting.control_s,
     )
-    policy_env = PolicyEnv(env, task, setting.horizon)
+    policy_env = PolicyEnv(env, task, setting.horizon, setting.delay_steps)
     a, b = jax.random.split(jax.random.key(t.seed))
     worlds, pool = ppo.open_worlds(policy_env, o, a)
     learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])

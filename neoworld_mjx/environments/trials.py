@@ -84,7 +84,7 @@ def evaluate(
     task = task_scene(scene, setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
     env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
-    policy_env = PolicyEnv(env, task, setting.horizon)
+    policy_env = PolicyEnv(env, task, setting.horizon, setting.delay_steps)
     count = 1 if variants is None else len(variants)
     if variants is None:
         states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(seed), 1))
