@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 
 from ..errors import EngineError, SpecError, choices
 from ..render.scene_images import scene_view
-from ..spec import SceneSpec, read_scene
+from ..spec import SceneSpec
 from . import cameras
 from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .mjx_environment import with_four_arguments
-from .reach import propose_mount
-from .simplified_scene import scene_without
+from .mjx_environment import scene_of, with_four_arguments
 from .task import SceneTask, Task
-from .task_words import task_of
 
 try:
     import gymnasium
@@ -181,14 +178,7 @@ def gym_env(
     """
     if render_mode not in (None, "rgb_array"):
         raise SpecError(f"render_mode: {choices(render_mode, ['rgb_array'])}")
-    scene = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
-    if isinstance(task, str):
-        task = task_of(scene, task)
-    if task is not None:
-        scene = task.scene
-        robot = scene_options.get("robot")
-        if robot is not None and scene_options.get("mount") is None:
-            scene_options["mount"] = propose_mount(task, robot)
+    scene, task = scene_of(run, task, without, scene_options)
     # A flying gripper has no geoms but those that collide.
     visual = bool(picture or render_mode) and scene_options.get("gripper") is None
     controlled = controlled_scene(scene, visual=visual, **scene_options)

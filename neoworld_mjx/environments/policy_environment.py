@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..errors import SpecError
 from ..spec.pose import rotate
 from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
@@ -67,8 +68,10 @@ class TaskState(eqx.Module):
 class PolicyEnv:
     """Environment of a task for the optimization; see `ppo.Trainable`."""
 
-    def __init__(self, env: MjxEnv, task: SceneTask, horizon: int, delay_steps: int = 0) -> None:
-        self.env, self.task, self.horizon = env, task, horizon
+    def __init__(self, env: MjxEnv, horizon: int, delay_steps: int = 0) -> None:
+        if env.task is None:
+            raise SpecError("the environment of a policy needs a task")
+        self.env, self.task, self.horizon = env, env.task, horizon
         self.action_size = env.action_size
         self._start = jnp.zeros((delay_steps, env.action_size))
 
@@ -91,11 +94,5 @@ class PolicyEnv:
 
     def _state(self, state: EnvState, delay: Array, recent: Array) -> TaskState:
         world = scene_state(state.data)
-        measured = {
-            "success": self.task.success(world).astype(jnp.float32),
-            "progress": self.task.progress(world).astype(jnp.float32),
-        }
-        finite = state.done == 0
-        metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), measured)
         obs = policy_observation(self.task, world)
-        return TaskState(state, obs, state.reward, state.done, metrics, delay, recent)
+        return TaskState(state, obs, state.reward, state.done, state.metrics, delay, recent)

@@ -83,8 +83,14 @@ def evaluate(
     setting = policy.about.setting
     task = task_scene(scene, setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
-    env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
-    policy_env = PolicyEnv(env, task, setting.horizon, setting.delay_steps)
+    env = MjxEnv(
+        task.controlled,
+        task=task,
+        variants=variants,
+        engine="native",
+        control_s=setting.control_s,
+    )
+    policy_env = PolicyEnv(env, setting.horizon, setting.delay_steps)
     count = 1 if variants is None else len(variants)
     if variants is None:
         states = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(seed), 1))

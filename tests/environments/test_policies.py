@@ -151,7 +151,7 @@ def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
 
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
-    env = PolicyEnv(MjxEnv(task.controlled, engine="native", control_s=0.1), task, 10)
+    env = PolicyEnv(MjxEnv(task.controlled, task=task, engine="native", control_s=0.1), 10)
     state = env.reset(jax.random.key(0))
     assert state.metrics["success"] == 0
     action = jnp.array([1.0, 0, 0, 0, 0, 0, -1.0])
@@ -167,7 +167,8 @@ def test_a_flying_gripper_moves_by_changes_and_closes(scene):
 
 def test_each_episode_delays_actions_by_its_own_steps(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
-    env = PolicyEnv(MjxEnv(task.controlled, engine="native", control_s=0.04), task, 10, 2)
+    inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
+    env = PolicyEnv(inner, 10, 2)
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 16))
     assert set(states.delay.tolist()) == {0, 1, 2}
     step, targets = jax.jit(jax.vmap(env.step)), []
