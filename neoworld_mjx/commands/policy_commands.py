@@ -1,5 +1,6 @@
 """Commands `train`, `evaluate` and `play`: policies of robots in a scene."""
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,8 @@ class TrainCommand(Command):
     """native, warp or mjx. Default: the fastest of the machine."""
     horizon: int | None = None
     """Actions of an episode. Default: that of the task."""
+    delay_steps: int = 0
+    """Largest delay of actions [0.04 s], in training and evaluation; each episode has its own."""
     resume: bool = False
     """Continue from the checkpoint in the folder."""
 
@@ -87,13 +90,15 @@ class TrainCommand(Command):
             "policy": str(out / POLICY),
             "steps": policy.about.steps,
             "engine": engine,
-            "last": last,
+            "last": json.loads(last),
         }
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return the steps and the file."""
+        last = result["last"]
         return [
-            f"trained for {result['steps']:,} control steps on {result['engine']}",
+            f"trained for {result['steps']:,} control steps on {result['engine']}; of "
+            f"{last['episodes']:,.0f} episodes that ended last, {last['success']:.0%} succeeded",
             f"wrote {result['policy']}",
             f"next: neoworld evaluate {result['policy']} {self.target}",
         ]
@@ -105,9 +110,13 @@ def _setting(command: TrainCommand, scene: "SceneSpec") -> "Setting":
     from ..environments.robots import Mount
     from ..environments.simplified_scene import scene_without
     from ..environments.task_words import gripper_of, task_of
+    from ..errors import SpecError
 
     task = task_of(scene_without(scene, command.without), command.task)
     own: dict[str, Any] = {"task": command.task, "without": command.without}
+    if not 0 <= command.delay_steps <= 100:
+        raise SpecError(f"--delay-steps {command.delay_steps}: it must be from 0 to 100")
+    own["delay_steps"] = command.delay_steps
     default = Setting(**own)
     own["horizon"] = command.horizon or round(task.horizon * 0.02 / default.control_s)
     if command.robot is None:

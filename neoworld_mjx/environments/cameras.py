@@ -77,4 +77,5 @@ def picture(
         view = camera.resized(width, height)
     else:
         view = camera_view(controlled, data, camera, width=width, height=height)
-    return render((controlled.model, data), view, shadows=shadows)
+    spec = controlled.scene.spec
+    return render((controlled.model, data), view, spec=spec, shadows=shadows)

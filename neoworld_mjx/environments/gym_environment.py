@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError, SpecError, choices
-from ..render import render_scene
-from ..spec import SceneSpec, read_scene
-from ..spec.pose import conjugate, from_yaw, quat_mul, yaw_of
+from ..render.scene_images import scene_view
+from ..spec import SceneSpec
+from . import cameras
 from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .mjx_environment import with_four_arguments
-from .reach import propose_mount
-from .simplified_scene import scene_without
+from .mjx_environment import scene_of, with_four_arguments
 from .task import SceneTask, Task
-from .task_words import task_of
 
 try:
     import gymnasium
@@ -122,34 +119,11 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return observation, reward, diverged, self._steps >= self._horizon, info
 
     def render(self) -> NDArray:
-        """Return an image of the current state, without the gripper, shape [height, width, 3]."""
+        """Return an image of the current state, with the robot, shape [height, width, 3]."""
         height, width = self._picture or (320, 480)
-        return np.asarray(render_scene(self.posed(), width=width, height=height).color)
-
-    def posed(self) -> SceneSpec:
-        """Return the scene in its current state."""
-        scene = self.controlled.scene.spec
-        joints = dict(zip(self.controlled.joints, self._joints(), strict=True))
-        items = []
-        for item, body in zip(scene.objects, self.controlled.bodies, strict=True):
-            (x, y, z), quat = self.data.xpos[body].tolist(), self.data.xquat[body]
-            yaw = yaw_of(quat)
-            names = {j.name: f"{item.name}-{j.name}" for j in item.spec.joints}
-            state = {name: float(joints[full]) for name, full in names.items() if full in joints}
-            update = {
-                "parent": None,
-                "parent_link": None,
-                "xy": (x, y),
-                "z": z,
-                "yaw": yaw,
-                "base_tilt": tuple(quat_mul(conjugate(from_yaw(yaw)), quat).tolist()),
-                "joint_state": {**item.joint_state, **state},
-            }
-            items.append(item.model_copy(update=update))
-        return scene.model_copy(update={"objects": tuple(items)})
-
-    def _joints(self) -> NDArray:
-        return self.data.qpos[self.controlled.qpos_of_joints]
+        view = scene_view(self.controlled.scene.spec, width=width, height=height)
+        image = cameras.picture(self.controlled, self.data, view, width=width, height=height)
+        return np.asarray(image.color)
 
     def _observe(self) -> Observation:
         result = self.controlled.observe(scene_state(self.data))
@@ -192,7 +166,8 @@ def gym_env(
         control_s: duration of each action [s].
         horizon: number of steps after which an episode is truncated; if None, that of the task, or
             500.
-        render_mode: rgb_array or None, as Gymnasium requires; `render` returns an image in either.
+        render_mode: rgb_array or None, as Gymnasium requires; `render` returns an image in either,
+            of smooth surfaces if it is rgb_array or `picture` is given, else of colliders.
         scene_options: gripper, robot, mount, control, drive_joints and colliders, as in
             `controlled_scene`. Without a mount, the robot stands where it reaches the task.
 
@@ -203,15 +178,10 @@ def gym_env(
     """
     if render_mode not in (None, "rgb_array"):
         raise SpecError(f"render_mode: {choices(render_mode, ['rgb_array'])}")
-    scene = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
-    if isinstance(task, str):
-        task = task_of(scene, task)
-    if task is not None:
-        scene = task.scene
-        robot = scene_options.get("robot")
-        if robot is not None and scene_options.get("mount") is None:
-            scene_options["mount"] = propose_mount(task, robot)
-    controlled = controlled_scene(scene, **scene_options)
+    scene, task = scene_of(run, task, without, scene_options)
+    # A flying gripper has no geoms but those that collide.
+    visual = bool(picture or render_mode) and scene_options.get("gripper") is None
+    controlled = controlled_scene(scene, visual=visual, **scene_options)
     return SceneEnv(
         controlled,
         reward=reward,

@@ -15,11 +15,15 @@ from jaxtyping import Array, Float
 
 from ..errors import SpecError
 from ..physics.engine import open_engine
-from ..spec import SceneSpec
+from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
 from .engines import WorldState, initial_world, open_steps
 from .randomization import Variants
+from .reach import propose_mount
+from .simplified_scene import scene_without
+from .task import SceneTask, Task
+from .task_words import task_of
 
 Observation = dict[str, Array]
 """Observations by name; see `ControlledScene.observe`."""
@@ -43,6 +47,7 @@ class EnvState(eqx.Module):
     done: Float[Array, ""]
     """1 if the simulation has diverged, otherwise 0."""
     metrics: dict[str, Array]
+    """`success` (0 or 1) and `progress` (0 to 1) of the task, if there is one."""
     info: dict[str, Array]
     """`step`: number of steps since the last reset; `sample`: row of the variants; `body_pos` and
     `body_quat`, with `ResetNoise.photo`: poses of bodies in their parents."""
@@ -55,6 +60,7 @@ class MjxEnv:
         self,
         controlled: ControlledScene,
         *,
+        task: SceneTask | None = None,
         reward: Reward | None = None,
         noise: ResetNoise | None = None,
         variants: Variants | None = None,
@@ -62,7 +68,8 @@ class MjxEnv:
         worlds: int = WORLDS,
         control_s: float = 0.02,
     ) -> None:
-        self.controlled = controlled
+        self.controlled, self.task = controlled, task
+        reward = task.reward if reward is None and task is not None else reward
         self._reward = None if reward is None else with_four_arguments(reward)
         self._noise, self._variants = noise or ResetNoise(), variants
         if variants is not None and self._noise != ResetNoise():
@@ -138,7 +145,12 @@ class MjxEnv:
             now, before = scene_state(world), scene_state(previous)
             reward = jnp.asarray(self._reward(obs, action, now, before), jnp.float32)
         done = 1.0 - finite.astype(jnp.float32)
-        return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, {}, info)
+        metrics: dict[str, Array] = {}
+        if self.task is not None:
+            now = scene_state(world)
+            metrics = {"success": self.task.success(now), "progress": self.task.progress(now)}
+            metrics = {k: jnp.where(finite, v, 0).astype(jnp.float32) for k, v in metrics.items()}
+        return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, metrics, info)
 
 
 def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, Any], Any]:
@@ -163,9 +175,27 @@ def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, 
     )
 
 
+def scene_of(
+    run: Path | str | SceneSpec,
+    task: Task | str | None,
+    without: Sequence[str],
+    scene_options: SceneOptions,
+) -> tuple[SceneSpec, Task | None]:
+    """Return the initial scene and the task; a robot without a mount gets one in the options."""
+    scene = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
+    if task is None:
+        return scene, None
+    task = task_of(scene, task) if isinstance(task, str) else task
+    robot = scene_options.get("robot")
+    if robot is not None and scene_options.get("mount") is None:
+        scene_options["mount"] = propose_mount(task, robot)
+    return task.scene, task
+
+
 def mjx_env(
     run: Path | str | SceneSpec,
     *,
+    task: Task | str | None = None,
     without: Sequence[str] = (),
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
@@ -179,9 +209,11 @@ def mjx_env(
 
     Args:
         run: the folder, file or scene.
+        task: a task, or a sentence such as "open the top drawer". It gives the initial state, the
+            reward, and `success` and `progress` in the metrics of each state.
         without: objects that are left out.
         reward: function that JAX can trace, of the observation, or of (observation, action, state,
-            previous state); if None, the reward is 0.
+            previous state); if None, the reward is that of the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
         variants: scenes of which each reset takes one, instead of noise; see `variants_of`.
         control_s: duration of each action [s].
@@ -189,16 +221,18 @@ def mjx_env(
             fastest of the machine.
         worlds: largest number of worlds in a batch; only warp needs it.
         scene_options: gripper, robot, mount, control, drive_joints and colliders, as in
-            `controlled_scene`.
+            `controlled_scene`. Without a mount, the robot stands where it reaches the task.
 
     Raises:
         SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
     name = engine or open_engine().name
-    controlled = controlled_scene(run, without=without, mjx=name == "mjx", **scene_options)
+    scene, todo = scene_of(run, task, without, scene_options)
+    controlled = controlled_scene(scene, mjx=name == "mjx", **scene_options)
     return MjxEnv(
         controlled,
+        task=None if todo is None else todo.on(controlled),
         reward=reward,
         noise=noise,
         variants=variants,

@@ -35,6 +35,8 @@ class Setting(BaseModel):
     """Duration of an action [s]."""
     horizon: int = Field(default=125, gt=0, le=100_000)
     """Actions of an episode."""
+    delay_steps: int = Field(default=0, ge=0, le=100)
+    """Largest delay of actions [control steps]; each episode has its own, from 0 to this."""
 
 
 class About(BaseModel):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..errors import SpecError
 from ..spec.pose import rotate
 from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
@@ -83,6 +84,10 @@ class TaskState(eqx.Module):
     reward: Array
     done: Array
     metrics: dict[str, Array]
+    delay: Array
+    """Control steps after which an action acts; the initial state is held until the first does."""
+    recent: Array
+    """Latest actions, the last one first, shape [largest delay, action]."""
 
 
 class Script(NamedTuple):
@@ -101,10 +106,17 @@ class PolicyEnv:
     """Environment of a task for the optimization; see `ppo.Trainable`."""
 
     def __init__(
-        self, env: MjxEnv, task: SceneTask, horizon: int, script: Script | None = None
+        self,
+        env: MjxEnv,
+        horizon: int,
+        script: Script | None = None,
+        delay_steps: int = 0,
     ) -> None:
-        self.env, self.task, self.horizon, self._script = env, task, horizon, script
+        if env.task is None:
+            raise SpecError("the environment of a policy needs a task")
+        self.env, self.task, self.horizon, self._script = env, env.task, horizon, script
         self.action_size = env.action_size
+        self._start = jnp.zeros((delay_steps, env.action_size))
 
     def reset(self, key: Array) -> TaskState:
         """Return an initial state; with a script, half of them lie along it.
@@ -112,11 +124,12 @@ class PolicyEnv:
         Starts along a motion that reaches the goal make far rewards known early (Peng et al.,
         DeepMimic, 2018: reference state initialization).
         """
-        keys = jax.random.split(key, 3)
+        keys = jax.random.split(key, 4)
         start = self.env.reset(keys[0])
+        delay = jax.random.randint(keys[3], (), 0, len(self._start) + 1)
         script = self._script
         if script is None:
-            return self._state(start)
+            return self._state(start, delay, self._start)
         first = scene_state(start.data)
         moved = jax.random.uniform(keys[1]) < SCRIPTED
         until = jnp.where(moved, jax.random.randint(keys[2], (), 0, script.steps), 0)
@@ -126,27 +139,22 @@ class PolicyEnv:
             going = (t < until) & (after.done == 0)
             return jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
 
-        return self._state(jax.lax.fori_loop(0, script.steps, advance, start))
+        state = jax.lax.fori_loop(0, script.steps, advance, start)
+        return self._state(state, delay, self._start)
 
     def reset_to(self, row: Array) -> TaskState:
         """Return the initial state of one of the variants."""
-        return self._state(self.env.reset_to(row))
+        return self._state(self.env.reset_to(row), row % (len(self._start) + 1), self._start)
 
     def step(self, state: TaskState, action: Array) -> TaskState:
         """Return the next state."""
         now = scene_state(state.env.data)
-        return self._state(
-            self.env.step(state.env, policy_action(self.env.controlled, now, action))
-        )
+        controlled, recent = self.env.controlled, jnp.stack([action, *state.recent])
+        acts = policy_action(controlled, now, recent[state.delay])
+        acts = jnp.where(state.env.info["step"] < state.delay, controlled.hold_action, acts)
+        return self._state(self.env.step(state.env, acts), state.delay, recent[:-1])
 
-    def _state(self, state: EnvState) -> TaskState:
+    def _state(self, state: EnvState, delay: Array, recent: Array) -> TaskState:
         world = scene_state(state.data)
-        measured = {
-            "success": self.task.success(world).astype(jnp.float32),
-            "progress": self.task.progress(world).astype(jnp.float32),
-        }
-        finite = state.done == 0
-        metrics = jax.tree.map(lambda v: jnp.where(finite, v, 0.0), measured)
-        return TaskState(
-            state, policy_observation(self.task, world), state.reward, state.done, metrics
-        )
+        obs = policy_observation(self.task, world)
+        return TaskState(state, obs, state.reward, state.done, state.metrics, delay, recent)

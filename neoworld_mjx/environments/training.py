@@ -174,13 +174,13 @@ def train_task(
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(
         task.controlled,
-        reward=task.reward,
+        task=task,
         variants=variants,
         engine=engine,
         worlds=o.worlds,
         control_s=setting.control_s,
     )
-    policy_env = PolicyEnv(env, task, setting.horizon, script)
+    policy_env = PolicyEnv(env, setting.horizon, script, setting.delay_steps)
     a, b = jax.random.split(jax.random.key(t.seed))
     worlds, pool = ppo.open_worlds(policy_env, o, a)
     learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])

@@ -101,8 +101,14 @@ def episodes(
     It returns the states at the ends of the episodes, and raises SpecError if the policy does not
     fit the scene. It compiles once for all policies.
     """
-    env = MjxEnv(task.controlled, variants=variants, engine="native", control_s=setting.control_s)
-    policy_env = PolicyEnv(env, task, setting.horizon)
+    env = MjxEnv(
+        task.controlled,
+        task=task,
+        variants=variants,
+        engine="native",
+        control_s=setting.control_s,
+    )
+    policy_env = PolicyEnv(env, setting.horizon, delay_steps=setting.delay_steps)
     if variants is None:
         start = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:

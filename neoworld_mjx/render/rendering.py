@@ -112,6 +112,7 @@ def render(
     *,
     width: int | None = None,
     height: int | None = None,
+    spec: SceneSpec | None = None,
     supersample: int = 2,
     floor: bool = True,
     shadows: bool = True,
@@ -128,6 +129,7 @@ def render(
         camera: the camera.
         width: width [px].
         height: height [px].
+        spec: the scene of a posed model, for its patterns, prints and backdrop.
         supersample: rays per pixel along each axis, at edges only; 1 disables antialiasing.
         floor: if True, render a plain floor below all objects, and the scene's backdrop. Neither
             counts as an object.
@@ -137,7 +139,7 @@ def render(
         view = View.of(camera, width, height)
     else:
         view = camera.resized(width or camera.width, height or camera.height)
-    spec = scene if isinstance(scene, SceneSpec) else None
+    spec = scene if isinstance(scene, SceneSpec) else spec
     model, data = compile_posed(scene) if isinstance(scene, SceneSpec) else scene
     caster = RayCaster(model, data)
     backdrop = None if spec is None or not floor else spec.backdrop

@@ -41,20 +41,21 @@ def render_scene(
             the width without one.
         supersample: rays per pixel along each axis, at edges only.
     """
-    camera = camera or scene.camera
-    if camera is None:
-        columns = width or (480 if height is None else height * 3 // 2)
-        rows = height or columns * 2 // 3
-        items = [obj for obj in scene.objects if not obj.environment] or list(scene.objects)
-        poses = world_poses(scene)
-        points = [
-            poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items
-        ]
-        # Look from the -x side, as cameras of photographs do.
-        camera = View.framing(
-            np.vstack(points), width=columns, height=rows, azimuth=np.radians(215)
-        )
+    camera = camera or scene_view(scene, width, height)
     return render(scene, camera, width=width, height=height, supersample=supersample)
+
+
+def scene_view(scene: SceneSpec, width: int | None = None, height: int | None = None) -> View:
+    """Return the view of the scene's camera, or one that frames its objects; see `render_scene`."""
+    if scene.camera is not None:
+        return View.of(scene.camera, width, height)
+    columns = width or (480 if height is None else height * 3 // 2)
+    rows = height or columns * 2 // 3
+    items = [obj for obj in scene.objects if not obj.environment] or list(scene.objects)
+    poses = world_poses(scene)
+    points = [poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items]
+    # Look from the -x side, as cameras of photographs do.
+    return View.framing(np.vstack(points), width=columns, height=rows, azimuth=np.radians(215))
 
 
 def render_object(

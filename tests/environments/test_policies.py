@@ -151,7 +151,7 @@ def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
 
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
-    env = PolicyEnv(MjxEnv(task.controlled, engine="native", control_s=0.1), task, 10)
+    env = PolicyEnv(MjxEnv(task.controlled, task=task, engine="native", control_s=0.1), 10)
     state = env.reset(jax.random.key(0))
     assert state.metrics["success"] == 0
     action = jnp.array([1.0, 0, 0, 0, 0, 0, -1.0])
@@ -163,6 +163,22 @@ def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     assert float(state.env.obs["gripper"][-1]) < 0.02
     held = policy_action(task.controlled, scene_state(state.env.data), np.full(7, 9.0), np)
     assert held[-1] == pytest.approx(0.12)
+
+
+def test_each_episode_delays_actions_by_its_own_steps(scene):
+    task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
+    inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
+    env = PolicyEnv(inner, 10, delay_steps=2)
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 16))
+    assert set(states.delay.tolist()) == {0, 1, 2}
+    step, targets = jax.jit(jax.vmap(env.step)), []
+    for k in range(5):
+        action = jnp.zeros((16, 7)).at[:, 0].set(0.5 if k else 1.0).at[:, 6].set(1.0)
+        states = step(states, action)
+        targets.append(states.env.data.ctrl[:, 0])
+    done = [0.0, 0.0, 0.02, 0.03, 0.04, 0.05, 0.06]  # of the third step with a delay of 2 on
+    for delay, row in zip(states.delay.tolist(), np.transpose(targets), strict=True):
+        assert row == pytest.approx(done[2 - delay : 7 - delay], abs=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -268,8 +284,10 @@ def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
     told = neoworld("train", file, "--task", TASK)
     assert told.returncode == 2 and "has a policy: pass --resume" in told.stderr
     other = [*small, "--without", "block", "--colliders", "coarse", "--out", tmp_path / "other"]
+    other += ["--delay-steps", 1]
     told = neoworld("train", file, "--task", TASK, *other)
     assert told.returncode == 0
     alone = read_policy(tmp_path / "other" / "policy.npz")
+    assert alone.about.setting.delay_steps == 1
     assert alone.about.setting.without == ("block",) and alone.observation_size == whole
     assert len(evaluate(alone, scene, samples=0).success) == 1

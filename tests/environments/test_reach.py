@@ -109,7 +109,7 @@ def test_a_script_places_a_block_and_lets_go(scene):
     on = task.on(controlled_scene(task.scene, robot=ARM, mount=mount))
     script = arm_script(on, ARM, mount)
     assert script is not None
-    env = MjxEnv(on.controlled, engine="native", control_s=0.04)
+    env = MjxEnv(on.controlled, task=on, engine="native", control_s=0.04)
     state = jax.jit(env.reset)(jax.random.key(0))
     first = scene_state(state.data)
     step = jax.jit(lambda s, t: env.step(s, script.action(scene_state(s.data), first, t)))
@@ -117,7 +117,7 @@ def test_a_script_places_a_block_and_lets_go(scene):
         state = step(state, t)
     assert bool(on.success(scene_state(state.data)))
     # Half of the initial states of a policy's episodes lie along it.
-    starts = PolicyEnv(env, on, 10, script)
+    starts = PolicyEnv(env, 10, script)
     states = jax.jit(jax.vmap(starts.reset))(jax.random.split(jax.random.key(1), 16))
     along = np.asarray(states.metrics["progress"])
     assert (along < 0.01).any() and (along > 0.5).any()

@@ -116,6 +116,16 @@ def test_a_diverged_world_ends_and_leaves_the_others(scene):
     assert after.reward[1] == 0 and after.reward[0] > 0
 
 
+def test_a_task_gives_reward_and_metrics(scene):
+    env = nw.mjx_env(scene, task="open the drawer", engine="native", drive_joints=True,
+                     gripper="chest-drawer_handle", control_s=0.5)  # fmt: skip
+    first = env.reset(jax.random.key(0))
+    assert first.metrics == {"success": 0, "progress": 0} and 0 < first.reward < 0.4
+    opened = jnp.asarray(env.controlled.hold_action).at[0].set(0.2).at[1].set(0.2)
+    last = env.step(env.step(first, opened), opened)
+    assert last.metrics["success"] == 1 and last.metrics["progress"] == 1 and last.reward > 1
+
+
 def test_rewards_take_one_or_four_arguments(scene):
     four = nw.mjx_env(
         scene,
