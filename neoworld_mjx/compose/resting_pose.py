@@ -265,22 +265,6 @@ def with_joint_friction(obj: SceneObject, notes: list[str]) -> SceneObject:
     return holding
 
 
-def with_aligned_joints_held(scene: SceneSpec) -> tuple[SceneSpec, tuple[str, ...]]:
-    """Raise the friction of the joints whose openings were aligned; see `with_joint_friction`.
-
-    Returns:
-        The scene, and a note for each joint whose friction was raised.
-    """
-    notes: list[str] = []
-    objects = [
-        with_joint_friction(item, notes)
-        if item.uncertainty is not None and item.uncertainty.joints
-        else item
-        for item in scene.objects
-    ]
-    return scene.model_copy(update={"objects": tuple(objects)}), tuple(notes)
-
-
 def joint_loads(obj: SceneObject) -> dict[str, float]:
     """Return the gravity load of each movable joint, without springs [N m or N].
 

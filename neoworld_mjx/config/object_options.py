@@ -184,11 +184,6 @@ class AlignOptions(Options):
         "`camera` and `contours`.",
     )
     contacts: bool = option(True, "Keep objects from overlapping while they are aligned.")
-    joints: bool = option(
-        False,
-        "Also estimate how far doors, drawers and lids are open if they are composed open. If the "
-        "shape of an object is wrong, this can make its openings less accurate.",
-    )
     final: bool = option(
         True,
         "After the refinement, align the objects that settling or the search moved in the image "

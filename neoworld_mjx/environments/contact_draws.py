@@ -45,13 +45,13 @@ class SceneContacts:
         """Return draws whose objects do not overlap, and stay over their supports.
 
         Each draw moves by the smallest number of standard deviations. Overlaps that objects of
-        fixed sizes and places cause remain. Openings do not move, and walls give way.
+        fixed sizes and places cause remain. Walls give way.
         """
         count = draws.normals.shape[1]
         moved = np.array(
             [
-                self.nearest(np.append(normals, np.zeros(2 * len(self.walls))), shift)
-                for normals, shift in zip(draws.normals, draws.variation.joint_shift, strict=True)
+                self.nearest(np.append(normals, np.zeros(2 * len(self.walls))))
+                for normals in draws.normals
             ]
         )
         kept = Draws.of(moved[:, :count], self.factor, draws.variation)
@@ -80,7 +80,7 @@ class SceneContacts:
     @cached_property
     def colliders(self) -> SceneGeoms:
         """Collision geoms, which move with the unknowns."""
-        return SceneGeoms.of(self.scene.spec, self.unknowns.parts)
+        return SceneGeoms.of(self.scene.spec)
 
     @cached_property
     def standing(self) -> Standing:
@@ -109,31 +109,22 @@ class SceneContacts:
         return rows
 
     @cached_property
-    def openings(self) -> list[int]:
-        """Index of each open joint among the joints of the scene."""
-        names, items = list(self.scene.static.joint_names), self.scene.spec.objects
-        return [names.index(f"{items[j.object].name}-{j.name}") for j in self.unknowns.joints]
-
-    @cached_property
     def at_scene(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n normal"]]:
         """Gaps of the scene itself, and their derivatives."""
-        joints = np.zeros(len(self.scene.static.joints))
-        return self.linearized(np.zeros(self.factor.shape[1] + 2 * len(self.walls)), joints)
+        return self.linearized(np.zeros(self.factor.shape[1] + 2 * len(self.walls)))
 
     def linearized(
-        self, values: Float[np.ndarray, " v"], shift: Float[np.ndarray, " joint"]
+        self, values: Float[np.ndarray, " v"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n v"]]:
         """Return the gaps of a draw [m], and their derivatives.
 
         Args:
             values: normal numbers, followed by the shifts x and y of each wall, in WALL_M.
-            shift: changes of the joints' positions.
         """
         u, count = self.unknowns, self.factor.shape[1]
         x = self.to_unknowns @ values[:count]
-        x[u.first_joint :] = shift[self.openings]
-        moved = np.zeros((len(u.object_of), 3))
-        moved[:, :2] = WALL_M * (self.on_wall.T @ values[count:].reshape(-1, 2))[u.object_of]
+        moved = np.zeros((len(self.scene.spec.objects), 3))
+        moved[:, :2] = WALL_M * (self.on_wall.T @ values[count:].reshape(-1, 2))
         now, *neighbors = (
             replace(place, pos=place.pos + moved) for place in [*u.place(x[None]), *u.neighbors(x)]
         )
@@ -151,14 +142,12 @@ class SceneContacts:
         by_normals = rows.jacobian[:, : u.size] @ self.to_unknowns
         return rows.gap, np.concatenate([by_normals, by_wall.reshape(len(gaps), -1)], axis=1)
 
-    def nearest(
-        self, drawn: Float[np.ndarray, " v"], shift: Float[np.ndarray, " joint"]
-    ) -> Float[np.ndarray, " v"]:
+    def nearest(self, drawn: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
         """Return the nearest draw with contacts, on a path from the scene, which has them."""
         now, (gap, jacobian) = np.zeros_like(drawn), self.at_scene
         for step in range(STEPS):
             if step:
-                gap, jacobian = self.linearized(now, shift)
+                gap, jacobian = self.linearized(now)
                 if gap.min(initial=0.0) > -FIT_M:
                     break
             now = drawn + _forced(gap + jacobian @ (drawn - now), jacobian)

@@ -26,7 +26,7 @@ from ..physics.layout import Layout
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..physics.model_fields import model_fields
-from ..physics.posterior import openings, pose_factor
+from ..physics.posterior import pose_factor
 from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
 from ..spec.pose import Pose, from_matrix, rotate
@@ -121,9 +121,9 @@ class ResetNoise:
     for a joint without limits)."""
     photo: float = 0.0
     """Factor of additional noise of the position and yaw of each aligned object, fixed objects
-    included, and of openings that were estimated. At 1, the noise has the standard deviations and
-    correlations that the photograph leaves, as the draws of `neoworld_mjx.sample`. A round object
-    is not turned, because every heading looks the same. Sizes do not vary."""
+    included. At 1, the noise has the standard deviations and correlations that the photograph
+    leaves, as the draws of `neoworld_mjx.sample`. A round object is not turned, because every
+    heading looks the same. Sizes do not vary."""
 
 
 class InitialState(NamedTuple):
@@ -309,7 +309,7 @@ class ControlledScene:
         """
         qpos = jnp.asarray(self.initial_qpos, jnp.float32)
         pos, quat = (jnp.asarray(x) for x in (self.model.body_pos, self.model.body_quat))
-        keys = jax.random.split(key, 5)
+        keys = jax.random.split(key, 4)
         count, scene = len(self.names), self.scene
         if noise.xy or noise.yaw or noise.photo:
             own = noise.xy * jax.random.normal(keys[0], (1, count, 2)) * scene.movable[:, None]
@@ -324,15 +324,12 @@ class ControlledScene:
             roots = self.bodies[self.fixed]
             pos = pos.at[roots].set(placed.pos[0, self.fixed])
             quat = quat.at[roots].set(placed.quat[0, self.fixed])
-        if (noise.joints or noise.photo) and len(self.joints):
+        if noise.joints and len(self.joints):
             joints = [self.model.joint(name) for name in self.joints]
             limited = np.array([bool(self.model.jnt_limited[j.id]) for j in joints])
             low, high = np.array([self.model.jnt_range[j.id] for j in joints]).T
             width = np.where(limited, high - low, 2 * np.pi)
             draw = noise.joints * width * jax.random.normal(keys[2], (len(joints),))
-            known = dict(zip(scene.static.joint_names, openings(scene)[0], strict=True))
-            deviation = noise.photo * np.array([known[name] for name in self.joints])
-            draw += deviation * jax.random.normal(keys[4], (len(joints),))
             sampled = qpos[self.qpos_of_joints] + draw
             clipped = jnp.where(limited, jnp.clip(sampled, low, high), sampled)
             qpos = qpos.at[self.qpos_of_joints].set(clipped)

@@ -129,7 +129,6 @@ class SceneSamples:
             "friction": v.friction,
             "joint_friction": v.joint_friction,
             "joint_damping": v.joint_damping,
-            "joint_shift": v.joint_shift,
             "weights": self.weights,
             "stands": self.stands,
             "shift_px": self.shift_px,
@@ -158,7 +157,7 @@ def sample(
 ) -> SceneSamples:
     """Draw scenes that a photograph allows.
 
-    Poses, sizes, openings and the camera are drawn from the estimate about the scene, with its
+    Poses, sizes and the camera are drawn from the estimate about the scene, with its
     correlations and contacts; densities, frictions and losses of joints are drawn from priors.
     Every draw is placed on its supports, settled and checked like a refined scene, all in one batch
     of C MuJoCo. The objects that are the reason of a refusal are drawn again.
@@ -352,12 +351,8 @@ def _with_variation(
             for j, name in enumerate(model.static.joint_names)
             if model.static.joint_object[j] == n
         }
-        state = dict(item.joint_state)
-        for name, j in joints.items():
-            if one.joint_shift[j]:
-                state[name] = state.get(name, 0.0) + float(one.joint_shift[j])
         spec = _varied_object(item, float(one.mass[n]), float(one.friction[n]), one, joints)
-        objects.append(item.model_copy(update={"spec": spec, "joint_state": state}))
+        objects.append(item.model_copy(update={"spec": spec}))
     return scene.model_copy(update={"objects": tuple(objects)})
 
 

@@ -27,11 +27,9 @@ from .alignment import (
     DepthOutcome,
     EvidenceKind,
     FittedUnknowns,
-    JointAlignment,
     ObjectAlignment,
     ViewOutcome,
     is_misjudged,
-    opening_deviation,
 )
 from .alignment_problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentStage
 from .camera_evidence import camera_estimates, edges_of_photo
@@ -115,7 +113,7 @@ def align_again(
         scene: the scene, with a camera.
         photo: the photograph (sRGB), at any size of the camera's aspect ratio.
         only: names of the objects that may move.
-        options: as for `align`. Joints keep their positions.
+        options: as for `align`.
         evidence: depth image and masks.
 
     Returns:
@@ -124,7 +122,7 @@ def align_again(
     Raises:
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
-    o = (options or AlignOptions()).model_copy(update={"camera": False, "joints": False})
+    o = (options or AlignOptions()).model_copy(update={"camera": False})
     return _aligned(scene, photo, o, STAGES_AGAIN, only=only, evidence=evidence or Evidence())
 
 
@@ -159,7 +157,6 @@ def _aligned(
     unknowns_of = partial(
         Unknowns.of,
         camera=camera,
-        joints=o.joints and o.contours,
         only=only,
         rises=rises,
         views=views,
@@ -172,7 +169,7 @@ def _aligned(
     images = {
         w: [LabImage.of(rgb, w, height_of(taken_by, w)) for rgb, taken_by in photos] for w in widths
     }
-    colliders = SceneGeoms.of(scene, unknowns.parts) if o.contacts else None
+    colliders = SceneGeoms.of(scene) if o.contacts else None
     standing = None if colliders is None else Standing.of(unknowns, colliders)
     problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
     try:
@@ -230,12 +227,6 @@ def _solution(
         for _ in range(last.steps):
             equations, drawn = problem.linearized(x, images[last.width], last, reasons)
             x = problem.solved(equations)
-    closed = problem.refused_joints(equations, drawn, images[last.width][0].bins)
-    if closed:
-        problem = replace(problem, held=closed)
-        for _ in range(last.steps):
-            equations, _ = problem.linearized(x, images[last.width], last, reasons)
-            x = problem.solved(equations)
     outcomes = problem.depth_outcomes(x, contradicted)
     return _result(problem, x, equations, reasons, outcomes)
 
@@ -247,7 +238,7 @@ def _result(
     reasons: dict[int, str],
     depths: dict[int, DepthOutcome],
 ) -> Alignment:
-    unknowns, composed = problem.unknowns, problem.as_composed(equations)
+    unknowns = problem.unknowns
     scene = unknowns.scene_at(x)
     before, after = unknowns.camera, scene.camera
     assert after is not None
@@ -261,9 +252,7 @@ def _result(
         if k in equations.with_contour:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)
-        joints = _joints(unknowns, scene, k, covariance, composed)
-        known = {name: joint.deviation for name, joint in joints.items()}
-        uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)], known)
+        uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])
         items[k] = items[k].model_copy(update={"uncertainty": uncertainty})
         shift = (float(entries[0]), float(entries[1]))
         objects[items[k].name] = ObjectAlignment(
@@ -273,7 +262,6 @@ def _result(
             math.degrees(entries[2]),
             math.exp(entries[3]),
             uncertainty,
-            joints,
             depths.get(k),
         )
     return Alignment(
@@ -304,7 +292,7 @@ def _correlation(
     camera and objects still agree about the pixels.
     """
     free = unknowns.free.tolist()
-    turn = np.eye(unknowns.first_joint)
+    turn = np.eye(unknowns.first_rise)
     for k in free:
         rows = unknowns.columns(k)
         if unknowns.in_wall[k].any():
@@ -313,7 +301,7 @@ def _correlation(
         else:
             turn[rows, rows][:2, :2] = unknowns.view_axes(now, k)
     names = tuple(unknowns.scene.objects[k].name for k in free)
-    known = covariance[: unknowns.first_joint, : unknowns.first_joint]
+    known = covariance[: unknowns.first_rise, : unknowns.first_rise]
     turn[:CAMERA] *= CALIBRATION[0]
     return PoseCorrelation.of(names, turn @ known @ turn.T)
 
@@ -331,33 +319,11 @@ def _views(unknowns: Unknowns, now: Placement) -> dict[str, ViewOutcome]:
     return outcomes
 
 
-def _joints(
-    unknowns: Unknowns,
-    scene: SceneSpec,
-    k: int,
-    covariance: Float[np.ndarray, "u u"],
-    composed: Collection[int],
-) -> dict[str, JointAlignment]:
-    """Return the changes of an object's open joints; the unknowns in `composed` did not change."""
-    found = {}
-    for u in unknowns.joint_columns(k):
-        joint = unknowns.joints[u - unknowns.first_joint]
-        slides = scene.objects[k].spec.joint(joint.name).type == "prismatic"
-        value, change = scene.objects[k].joint_state[joint.name], 0.0
-        deviation = opening_deviation(joint)
-        if u not in composed:
-            change = (value - joint.value) * math.copysign(1.0, joint.value)
-            deviation = math.sqrt(covariance[u, u])
-        found[joint.name] = JointAlignment(slides, value, change, deviation)
-    return found
-
-
 def _uncertainty(
     unknowns: Unknowns,
     now: Placement,
     k: int,
     rows: Float[np.ndarray, "4 u"],
-    joints: dict[str, float],
 ) -> PoseUncertainty:
     """Return the calibrated standard deviations of an object, given its rows of the covariance."""
     block = rows[:, unknowns.columns(k)]
@@ -372,4 +338,4 @@ def _uncertainty(
     ).tolist()
     if unknowns.round[k] and not unknowns.in_wall[k].any():
         yaw = None
-    return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale, joints=joints)
+    return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale)

@@ -3,8 +3,8 @@
 Prior of the alignment: how far the composed scene may be from the photographed one.
 
 Most standard deviations are those of the fit (`priors`), which placed the objects. The priors
-of objects and joints are Student's t distributions, because most objects are almost right and some
-are far off. So is that of the camera's pitch, which vertical edges can contradict.
+of objects are Student's t distributions, because most objects are almost right and some are far
+off. So is that of the camera's pitch, which vertical edges can contradict.
 """
 
 import math
@@ -18,9 +18,8 @@ from jaxtyping import Float
 from ..spec import Camera, SceneSpec
 from ..spec.scene import PoseUncertainty
 from .camera_evidence import CameraEstimate
-from .open_joints import OpenJoint
 from .priors import ACROSS, DEPTH, FASTENED, LOG_HEIGHT, LOG_SIZE, PITCH, YAW
-from .unknowns import CAMERA, EACH, STRETCH, TILT, Placement, Unknowns
+from .unknowns import CAMERA, EACH, TILT, Placement, Unknowns
 
 NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
 """Changes of position [m], size (relative) and heading [deg] above which a note reports them."""
@@ -29,31 +28,6 @@ NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
 
 EvidenceKind = Literal["pixels", "box", "none"]
 """Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
-
-
-@dataclass(frozen=True)
-class JointAlignment:
-    """Change of one open joint by the alignment; in rad for hinges and m for slides."""
-
-    slides: bool
-    value: float
-    """Position after the alignment."""
-    change: float
-    """Change from the composed position; positive if the joint moves farther from 0."""
-    deviation: float
-    """Standard deviation of the position."""
-
-    @property
-    def is_far(self) -> bool:
-        """True if the change is so large that a note reports it."""
-        return abs(self.change) > (NOTED_M if self.slides else math.radians(NOTED_DEG))
-
-    def phrase(self) -> str:
-        """Return a phrase that states the opening, and its change from the composed scene."""
-        text = lambda x: f"{100 * x:.1f} cm" if self.slides else f"{math.degrees(x):.0f} deg"
-        more = "more" if self.change > 0 else "less"
-        by = f"{text(abs(self.change))} {more} than composed" if self.change else "as composed"
-        return f"opens {text(abs(self.value))}, {by} (± {text(self.deviation)})"
 
 
 @dataclass(frozen=True)
@@ -85,8 +59,6 @@ class ObjectAlignment:
     yaw_deg: float
     size_ratio: float
     uncertainty: PoseUncertainty
-    joints: dict[str, JointAlignment] = field(default_factory=dict)
-    """Changes of the object's open joints, by name."""
     depth: DepthOutcome | None = None
     """Result of the depth image; None if there is none."""
 
@@ -145,9 +117,6 @@ class Alignment:
     def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
         """Yield a note, as a title and a text, for each large change of the camera or an object.
 
-        Joints that moved far and changed dimensions have notes, too.
-
-
         Args:
             before: the composed scene.
         """
@@ -175,10 +144,6 @@ class Alignment:
                     f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
                     f"{change.size_ratio:.2f} and turned it by {degrees:+d} deg",
                 )
-            for joint, opening in change.joints.items():
-                if opening.is_far:
-                    phrase = f"in the photograph joint {joint} {opening.phrase()}"
-                    yield f"{name} with a joint opened differently than composed", phrase
         for name, view in self.views.items():
             if not view.reason:
                 what = f"it shows {view.objects} objects from {view.turn_deg:.0f} deg aside"
@@ -199,7 +164,6 @@ class Alignment:
                     "size_ratio": round(change.size_ratio, 5),
                     "uncertainty": change.uncertainty.model_dump(mode="json"),
                     **({} if change.depth is None else {"depth": _rounded(asdict(change.depth))}),
-                    **_joints(change.joints),
                 }
                 for name, change in self.objects.items()
             },
@@ -210,20 +174,6 @@ class Alignment:
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
     """Return the values, with numbers rounded to six decimals."""
     return {k: round(v, 6) if isinstance(v, float) else v for k, v in values.items()}
-
-
-def _joints(joints: dict[str, JointAlignment]) -> dict[str, Any]:
-    """Return the JSON data of open joints; an empty dict if there are none."""
-    data = {
-        name: {
-            "value": round(joint.value, 5),
-            "change": round(joint.change, 5),
-            "deviation": round(joint.deviation, 5),
-            "phrase": joint.phrase(),
-        }
-        for name, joint in joints.items()
-    }
-    return {"joints": data} if data else {}
 
 
 FREEDOM = 4.0
@@ -243,20 +193,11 @@ LOG_STRETCH = 0.03
 """Standard deviation of the log stretch of a program's shape along an axis. The contours of a wrong
 shape contradict one another. Without these nuisance unknowns, the layout and the camera would
 absorb the contradiction."""
-LOG_PART_STRETCH = 0.06
-"""Standard deviation of the log stretch of the parts that a hinge moves: a change of a door's
-length changes the image as a change of its angle does."""
 FIXED_YAW = 1e-4
 """Standard deviation of the heading of an object that is round or attached to a wall [rad]."""
 SUPPORTED = 0.15
 """Standard deviation of the position of an object on a movable support, relative to the shorter
 horizontal side of the support."""
-OPENING = 0.06
-"""Standard deviation of a joint's opening, relative to the joint's range. The response estimates
-the opening from a ratio of two lengths in the image."""
-RANGE = 0.26
-"""Standard deviation of the log range of a joint in a program. The parsed opening is a share of
-this range."""
 RISE_M, LEVEL_M = 0.003, 1e-6
 """Standard deviation of the height above a support, if the height is unknown, and of an object that
 is attached to a wall, whose height is another unknown, and of supports of the environment [m]."""
@@ -331,8 +272,6 @@ def prior_precision(
         precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
-    of_parts = stretches[STRETCH * len(unknowns.free) :]
-    precision[of_parts, of_parts] = 1 / LOG_PART_STRETCH**2
     eye = now.camera.position()
     for i, k in enumerate(unknowns.free.tolist()):
         first = CAMERA + EACH * i
@@ -357,9 +296,6 @@ def prior_precision(
                 # The camera's height refers to its top; its outline shows another size.
                 spread = LEVEL_M**2
             precision[first + column, first + column] = 1 / spread
-    for u, joint in enumerate(unknowns.joints, unknowns.first_joint):
-        spread = opening_deviation(joint) ** 2 + x[u] ** 2 / FREEDOM
-        precision[u, u] = 1 / spread
     for k in unknowns.free.tolist():
         held = unknowns.in_wall[k].any() or unknowns.scene.objects[k].environment
         deviation = LEVEL_M if held else RISE_M
@@ -372,12 +308,6 @@ def prior_precision(
     precision[known] = precision[:, known] = 0.0
     precision[known, known] = 1 / KNOWN**2
     return precision
-
-
-def opening_deviation(joint: OpenJoint) -> float:
-    """Return the standard deviation of the composed position of an open joint [rad or m]."""
-    share, open_by = OPENING * (joint.upper - joint.lower), RANGE * (joint.value - joint.closed)
-    return math.hypot(share, open_by)
 
 
 def _room(unknowns: Unknowns, k: int) -> float:

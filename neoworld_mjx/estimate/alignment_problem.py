@@ -91,8 +91,6 @@ class AlignmentProblem:
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
     """Indices of the objects whose depth is ignored."""
-    held: frozenset[int] = frozenset()
-    """Indices of the open joints that keep their composed positions."""
 
     @property
     def uses_edges(self) -> bool:
@@ -289,44 +287,10 @@ class AlignmentProblem:
 
     def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
         """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
-        x = equations.solved(held=self.as_composed(equations))
+        x = equations.solved()
         if not self.options.camera:
             x[:CAMERA] = 0.0
         return x
-
-    def as_composed(self, equations: NormalEquations) -> dict[int, float]:
-        """Return the value 0 for the unknown of each joint that keeps its composed position.
-
-        These are the joints in `held` and all joints of objects without contour evidence.
-        """
-        first = self.unknowns.first_joint
-        return {
-            first + j: 0.0
-            for j, joint in enumerate(self.unknowns.joints)
-            if j in self.held or joint.object not in equations.with_contour
-        }
-
-    def refused_joints(
-        self,
-        equations: NormalEquations,
-        drawn: DrawnObjects,
-        bins: Int[np.ndarray, "row column"],
-    ) -> frozenset[int]:
-        """Return the joints whose changes make their objects fit the photograph less well."""
-        unknowns, held = self.unknowns, self.as_composed(equations)
-        now = unknowns.place(equations.solved(held=held)[None])[0]
-        refused = []
-        for j, joint in enumerate(unknowns.joints):
-            u = unknowns.first_joint + j
-            if u in held:
-                continue
-            other = unknowns.place(equations.solved(held=held | {u: 0.0})[None])[0]
-            moved, composed = (
-                shown_at(unknowns, place, drawn, joint.object) for place in (now, other)
-            )
-            if not is_supported(moved, composed, bins):
-                refused.append(j)
-        return frozenset(refused)
 
     def refused(
         self,
@@ -340,16 +304,12 @@ class AlignmentProblem:
         They fit the photograph less well with this evidence than without.
         """
         unknowns = self.unknowns
-        held = self.as_composed(equations)
-        now = unknowns.place(equations.solved(held=held)[None])[0]
+        now = unknowns.place(equations.solved()[None])[0]
         refused = []
         masks = self.masks_at(drawn)
         used = equations.with_contour if source == "contour" else equations.with_depth
         for k in (k for k in used if k in unknowns.free):
-            still = held | dict.fromkeys(unknowns.joint_columns(k), 0.0)
-            other = unknowns.place(equations.solved(without=(k,), held=still, source=source)[None])[
-                0
-            ]
+            other = unknowns.place(equations.solved(without=(k,), source=source)[None])[0]
             with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
             known = masks.get(k)
             if known is None:

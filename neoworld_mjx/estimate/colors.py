@@ -18,7 +18,7 @@ from PIL import Image
 from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
 from scipy.spatial import KDTree
 
-from ..render.appearance import linear
+from ..render.appearance import to_lab
 from .rasterize import DrawnObjects, draw_objects, window_of
 from .unknowns import Placement, Unknowns
 
@@ -37,9 +37,6 @@ objects that are not modeled."""
 LARGEST = 4.0
 """Bound on the absolute log likelihood ratio of a pixel [nats]."""
 _UNIFORM = 1.0 / (BINS**3 * LIGHTNESS)
-_TO_XYZ = np.array(
-    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-) / np.array([[0.9505], [1.0], [1.089]])
 LEAST_PIXELS = 60
 """Least number of pixels for a color model; a margin that leaves fewer pixels is reduced."""
 RING = 0.25
@@ -47,20 +44,6 @@ RING = 0.25
 LEAST_RING_PX = 6
 BAND = 6
 """Width of the band inside a contour whose colors are used, in multiples of the margin."""
-
-
-def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "*n 3"]:
-    """Convert display colors (sRGB, 0 to 255) to CIE Lab, D65."""
-    xyz = linear(rgb.astype(float) / 255.0) @ _TO_XYZ.T
-    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
-    return np.stack(
-        [
-            116 * f[..., 1] - 16,
-            500 * (f[..., 0] - f[..., 1]),
-            200 * (f[..., 1] - f[..., 2]),
-        ],
-        axis=-1,
-    )
 
 
 def bins_of(lab: Float[np.ndarray, "*n 3"]) -> Int[np.ndarray, "*n"]:

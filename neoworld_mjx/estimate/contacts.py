@@ -15,10 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..physics.colliders import geom_distance, object_of_geom, start_state
-from ..physics.mjcf import body_name
 from ..spec import SceneSpec, world_poses
 from ..spec.pose import matrix
-from .open_joints import MovingPart
 from .unknowns import STEP, Placement, Unknowns
 
 REACH_M = 0.01
@@ -41,7 +39,6 @@ class ContactPoint(NamedTuple):
     """A point of an object, whose motion changes a gap by share * normal @ motion."""
 
     object: int
-    body: int
     position: Float[np.ndarray, " 3"]
     """In the world [m]."""
     share: float
@@ -89,11 +86,11 @@ class ContactGaps(NamedTuple):
         """
         jacobian = np.zeros((len(gaps), unknowns.size_with_stretches))
         for row, gap in zip(jacobian, gaps, strict=True):
-            for k, body, position, share in gap.points:
-                local = now.local(body, position[None])
+            for k, position, share in gap.points:
+                local = now.local(k, position[None])
                 for u in unknowns.columns_of(k):
                     if gap.resizes or not unknowns.is_size(u):
-                        moved = neighbors[u].world(body, local) - now.world(body, local)
+                        moved = neighbors[u].world(k, local) - now.world(k, local)
                         row[u] += share * (moved[0] @ gap.normal) / STEP
         precision = [1 / gap.deviation**2 for gap in gaps]
         return cls(np.array([gap.value for gap in gaps]), jacobian, np.array(precision))
@@ -103,8 +100,7 @@ class ContactGaps(NamedTuple):
 class SceneGeoms:
     """Collision geoms of a scene in the frames of their objects.
 
-    `place` modifies the model and its data. The geoms of parts that open joints move follow these
-    parts, so that an open door keeps clear of the objects in front of it.
+    `place` modifies the model and its data.
     """
 
     model: mujoco.MjModel
@@ -113,8 +109,6 @@ class SceneGeoms:
     """Index of each collision geom in the model."""
     owner: Int[np.ndarray, " geom"]
     """Index of each geom's object."""
-    body: Int[np.ndarray, " geom"]
-    """Index of each geom's body, as defined in `open_joints`."""
     pos: Float[np.ndarray, "geom 3"]
     """Composed position of each geom in the object's frame [m]."""
     mat: Float[np.ndarray, "geom 3 3"]
@@ -129,21 +123,12 @@ class SceneGeoms:
     """Index of each vertex's object; -1 for none."""
 
     @classmethod
-    def of(cls, scene: SceneSpec, parts: Sequence[MovingPart] = ()) -> "SceneGeoms":
-        """Compile a scene, once for all placements.
-
-        Args:
-            scene: the composed scene.
-            parts: parts that open joints move, as in `Unknowns.parts`.
-        """
+    def of(cls, scene: SceneSpec) -> "SceneGeoms":
+        """Compile a composed scene, once for all placements."""
         model, data = start_state(scene)
         owner = object_of_geom(scene, model)
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         geom = np.flatnonzero((owner >= 0) & collides)
-        body = owner.copy()
-        for b, (k, part, _) in enumerate(parts, len(scene.objects)):
-            link = model.body(body_name(scene.objects[k], part)).id
-            body[model.geom_bodyid == link] = b
         owner = owner[geom]
         poses = list(world_poses(scene).values())
         origin = np.array([pose.pos for pose in poses])[owner]
@@ -158,7 +143,6 @@ class SceneGeoms:
             data,
             geom,
             owner,
-            body[geom],
             np.einsum("nji,nj->ni", turn, data.geom_xpos[geom] - origin),
             np.einsum("nji,njk->nik", turn, data.geom_xmat[geom].reshape(-1, 3, 3)),
             model.geom_size[geom].copy(),
@@ -168,8 +152,8 @@ class SceneGeoms:
         )
 
     def place(self, place: Placement) -> None:
-        """Move and scale the geoms with their bodies to a placement."""
-        m, d, k = self.model, self.data, self.body
+        """Move and scale the geoms with their objects to a placement."""
+        m, d, k = self.model, self.data, self.owner
         scale, turn = place.scale[k], place.turn[k]
         offset = np.einsum("nij,nj->ni", turn, scale[:, None] * self.pos)
         d.geom_xpos[self.geom] = place.pos[k] + offset
@@ -223,8 +207,8 @@ def contacts(
             continue
         pair = int(colliders.owner[a]), int(colliders.owner[b])
         points = tuple(
-            ContactPoint(k, int(colliders.body[g]), end, share)
-            for k, g, end, share in zip(pair, (a, b), ends.reshape(2, 3), (-1.0, 1.0), strict=True)
+            ContactPoint(k, end, share)
+            for k, end, share in zip(pair, ends.reshape(2, 3), (-1.0, 1.0), strict=True)
         )
         # The two end points are swapped for overlapping geoms.
         normal, deviation = (

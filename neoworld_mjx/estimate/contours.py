@@ -42,8 +42,6 @@ class Contour(NamedTuple):
     """Index of the object behind the contour; -1 for none."""
     length: Float[np.ndarray, " n"]
     """Length of the contour that each point represents [px]."""
-    body: Int[np.ndarray, " n"]
-    """Index of the body that is visible at each point, as defined in `open_joints`."""
 
 
 class Displacements(NamedTuple):
@@ -64,7 +62,6 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
     window = window_of(mask, REACH_PX)
     top, left = (span.start for span in window)
     owner, depth = drawn.owner[window], drawn.depth[window]
-    bodies = owner if drawn.body is None else drawn.body[window]
     smooth = gaussian_filter((owner == k).astype(float), NORMAL_BLUR_PX, mode="nearest")
     down, right = np.gradient(smooth)
     gradient = np.stack([right, down], axis=-1)
@@ -74,11 +71,11 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
         there = _shifted(owner.shape, dx, dy)
         edge = (owner[here] == k) & (owner[there] != k) & (depth[here] <= depth[there])
         y, x = np.nonzero(edge)
-        behind, body = owner[there][y, x], bodies[here][y, x]
+        behind = owner[there][y, x]
         y, x = y + here[0].start, x + here[1].start
         pixel = np.stack([x + left + 0.5 + 0.5 * dx, y + top + 0.5 + 0.5 * dy], axis=1)
-        found.append((pixel, depth[y, x], -gradient[y, x], behind, body))
-    pixel, depth, slope, behind, body = (np.concatenate(part) for part in zip(*found, strict=True))
+        found.append((pixel, depth[y, x], -gradient[y, x], behind))
+    pixel, depth, slope, behind = (np.concatenate(part) for part in zip(*found, strict=True))
     steep = np.linalg.norm(slope, axis=1)
     inner = (pixel > BORDER_PX) & (pixel < np.array([width, height]) - BORDER_PX)
     rows = np.flatnonzero((steep > LEAST_GRADIENT) & inner.all(axis=1))
@@ -89,7 +86,7 @@ def contour(drawn: DrawnObjects, k: int) -> Contour | None:
     normal = slope[rows] / steep[rows, None]
     # A path along the pixel grid is longer than the contour.
     length = share / np.abs(normal).sum(axis=1)
-    return Contour(pixel[rows], depth[rows], normal, behind[rows], length, body[rows])
+    return Contour(pixel[rows], depth[rows], normal, behind[rows], length)
 
 
 def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[slice, slice]:

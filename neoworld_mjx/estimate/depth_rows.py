@@ -120,11 +120,11 @@ def pixel_rays(camera: Camera, width: int, height: int) -> Float[np.ndarray, "ro
 def surface_normals(
     points: Float[np.ndarray, "row column 3"], owner: Int[np.ndarray, "row column"]
 ) -> Float[np.ndarray, "row column 3"]:
-    """Return unit normals by differences of the neighbors that show the same body; NaN elsewhere.
+    """Return unit normals by differences of the neighbors that show the same object; NaN elsewhere.
 
     Args:
         points: rendered points in the camera's frame [m].
-        owner: body at each pixel.
+        owner: object at each pixel.
     """
     right, below = np.full_like(points, np.nan), np.full_like(points, np.nan)
     same = (owner[:, 2:] == owner[:, 1:-1]) & (owner[:, :-2] == owner[:, 1:-1])
@@ -196,8 +196,7 @@ class SceneDepth:
         """Result of `surface_normals`."""
         drawn = self.drawn
         depth = np.where(np.isfinite(drawn.depth), drawn.depth, np.nan)
-        body = drawn.owner if drawn.body is None else drawn.body
-        return surface_normals(self.rays * depth[..., None], body)
+        return surface_normals(self.rays * depth[..., None], drawn.owner)
 
     def is_support(self, k: int) -> bool:
         """Return whether an object is a support of the environment, or another fixed root."""
@@ -259,15 +258,11 @@ class SceneDepth:
         depth = drawn.depth[row, column]
         pixel = np.stack([column, row], axis=1) + 0.5
         world = unprojected(now, pixel, depth, drawn.owner.shape[1])
-        body = np.full(len(row), k) if drawn.body is None else drawn.body[row, column]
-        whole = bool((body == k).all())
-        local = now.local(k if whole else body, world)
+        local = now.local(k, world)
         along = lambda points, camera: np.sum(
             (points - camera.position()) @ camera.axes() * normal, axis=1
         )
-        jacobian = value_jacobian(
-            unknowns, now, neighbors, k, local, along, None if whole else body
-        )
+        jacobian = value_jacobian(unknowns, now, neighbors, k, local, along)
         deviation = self._deviation(k, depth, world[:, 2])
         support = self.is_support(k)
         count = SUPPORT_OBSERVATIONS if support else OBSERVATIONS
@@ -298,7 +293,7 @@ class SceneDepth:
         """
         surface = np.hypot(SUPPORT_M, 0.0 if k in self.unknowns.free else SUPPORT * height)
         if not self.is_support(k):
-            vertices = self.unknowns.vertices(k)[0]
+            vertices = self.unknowns.surfaces[k].vertices
             size = float(np.ptp(vertices, axis=0).max()) * float(self.now.scale[k])
             surface = np.full_like(depth, math.hypot(SHAPE * min(size, LARGEST_M), LEAST_M))
         smooth = self.image.smooth_sd * depth

@@ -90,20 +90,6 @@ def nearest_boxes(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray
     return data.boxes - _OUTWARD * outline_residuals(data, x)[:, :4]
 
 
-def outline_agreements(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.ndarray, " n"]:
-    """Return the agreement of each projected outline with its 2D box, from 0 to 1.
-
-    The agreement is the intersection over union of the 2D box and the nearest box of the outline,
-    see `nearest_boxes`.
-    """
-    projected = nearest_boxes(data, x)
-    low = np.maximum(projected[:, :2], data.boxes[:, :2])
-    high = np.minimum(projected[:, 2:], data.boxes[:, 2:])
-    shared = np.prod(np.maximum(high - low, 0.0), axis=1)
-    areas = [np.prod(np.maximum(b[:, 2:] - b[:, :2], 0.0), axis=1) for b in (projected, data.boxes)]
-    return shared / np.maximum(sum(areas) - shared, 1e-9)
-
-
 def to_camera_frame(
     data: FitData,
     camera: Camera,

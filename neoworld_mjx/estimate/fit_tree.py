@@ -28,10 +28,10 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 
 from ..evidence.known_camera import KnownCamera
-from ..measure import SidesShown
+from ..measure import SidesShown, iou_2d
 from ..spec import Box3D, SceneTree, TreeNode
 from .fit_data import CAMERA
-from .fit_problem import FitProblem, fit_problem, outline_agreements, outline_residuals
+from .fit_problem import FitProblem, fit_problem, nearest_boxes, outline_residuals
 from .priors import is_slab
 from .projection import Wireframe
 from .tree_checks import agreement, check_objects
@@ -300,12 +300,12 @@ def _outcome(
     data = problem.data
     initial, fitted = data.tree, problem.tree(x, fixed)
     # The 3D box of a built object extends beyond its shape, so a good fit may lower its agreement.
-    shape_agreements = [outline_agreements(data, u) for u in (data.initial_unknowns(), x)]
+    nearest = [nearest_boxes(data, unknowns) for unknowns in (data.initial_unknowns(), x)]
     changes = {}
     for i, node in enumerate(data.objects):
         change = _change(initial, fitted, node, data.hidden[i], refused.get(node.name, ""))
         if node.name in shapes:
-            before, after = (float(values[i]) for values in shape_agreements)
+            before, after = (iou_2d(boxes[i], node.box2d) for boxes in nearest)
             change = replace(change, agreement_before=before, agreement_after=after)
         changes[node.name] = change
     before, after = np.mean(

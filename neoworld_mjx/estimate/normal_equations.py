@@ -5,7 +5,7 @@ Derivatives of image points with respect to the alignment's unknowns, by finite 
 Evidence from an object's contour and 2D box, linearized in the unknowns.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -28,7 +28,6 @@ def image_jacobian(
     points: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 2"],
     width: int,
-    bodies: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n v"]:
     """Return the derivatives of image points along normals with respect to the unknowns.
 
@@ -37,17 +36,16 @@ def image_jacobian(
         now: the placement.
         neighbors: the placements of `Unknowns.neighbors`, at the same values of the unknowns.
         k: index of the object.
-        points: points in the frames of their bodies [m].
+        points: points in the object's frame [m].
         normal: unit vectors in the image, one for each point.
         width: width of the image [px].
-        bodies: body of each point; if None, all points belong to body `k`.
 
     Returns:
         The derivatives [px per unit] with respect to all unknowns, and then with respect to the
         stretches of `Unknowns.stretch_columns`.
     """
     along = lambda p, camera: np.sum(pixels_of(camera, p, width)[0] * normal, axis=1)
-    return value_jacobian(unknowns, now, neighbors, k, points, along, bodies)
+    return value_jacobian(unknowns, now, neighbors, k, points, along)
 
 
 def value_jacobian(
@@ -57,40 +55,23 @@ def value_jacobian(
     k: int,
     points: Float[np.ndarray, "n 3"],
     along: Callable[[Float[np.ndarray, "n 3"], Camera], Float[np.ndarray, " n"]],
-    bodies: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n v"]:
     """Return the derivatives of a value of each point with respect to the unknowns.
 
     Arguments and columns are as for `image_jacobian`; `along` maps points in the world and the
     camera to the values.
     """
-    # Objects without open joints are transformed as a whole.
-    body = k if bodies is None or (bodies == k).all() else bodies
-    start = along(now.world(body, points), now.camera)
-    moved_by = [j for j, joint in enumerate(unknowns.joints) if joint.object == k]
-    result = np.zeros((len(points), unknowns.size + STRETCH * (1 + len(moved_by))))
+    start = along(now.world(k, points), now.camera)
+    result = np.zeros((len(points), unknowns.size + STRETCH))
     for u in [*range(CAMERA), *unknowns.columns_of(k), *unknowns.view_columns(now.view)]:
         near = neighbors[u]
-        result[:, u] = (along(near.world(body, points), near.camera) - start) / STEP
+        result[:, u] = (along(near.world(k, points), near.camera) - start) / STEP
     foot = unknowns.lowest[k] * now.turn[k][2]
-    own = points if body is k else now.local(k, now.world(body, points))
     for axis in range(STRETCH):
-        stretched = own.copy()
-        stretched[:, axis] += STEP * (own - foot)[:, axis]
+        stretched = points.copy()
+        stretched[:, axis] += STEP * (points - foot)[:, axis]
         moved = along(now.world(k, stretched), now.camera)
         result[:, unknowns.size + axis] = (moved - start) / STEP
-    for i, j in enumerate(moved_by, 1):
-        anchor = unknowns.joints[j].anchor
-        if anchor is None or body is k:
-            continue
-        # A longer door may look like a door at another angle.
-        moves = np.array([j in part.joints for part in unknowns.parts])
-        rows = np.append(np.zeros(len(unknowns.scene.objects), bool), moves)[body]
-        for axis in range(STRETCH):
-            stretched = points.copy()
-            stretched[rows, axis] += STEP * (points - anchor)[rows, axis]
-            moved = along(now.world(body, stretched), now.camera)
-            result[:, unknowns.size + STRETCH * i + axis] = (moved - start) / STEP
     return result
 
 
@@ -107,8 +88,6 @@ MARGIN_PX = 3.0
 """Width of the margin along contours that color models omit [px]."""
 LEAST_SPREAD = 0.5
 """Least robust spread of the displacements of a contour [px]."""
-LEAST_POINTS = 10
-"""Least number of informative points for which the parts moved by a joint get a separate spread."""
 LEAST_PRECISION = 1e-4
 """Precision [1/px^2] below which the colors on the two sides of a contour count as equal."""
 OUTLYING = 2.0
@@ -202,38 +181,17 @@ def contour_evidence(
     informed = moved.precision > LEAST_PRECISION / unit**2
     if not informed.any():
         return None
-    body = points.body
-    spread = _spreads(moved.value, informed, unknowns.mover[body], LEAST_SPREAD * unit)
+    deviation = np.abs(moved.value - np.median(moved.value))[informed]
+    spread = np.maximum(1.48 * np.median(deviation), LEAST_SPREAD * unit)
     robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
     # A contour with contradictory displacements is less certain than its colors suggest.
-    precision = moved.precision / (1 + moved.precision * spread**2)
+    precision = moved.precision / (1 + moved.precision * np.square(spread))
     independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
     weight = points.length / independent * robust * precision
     world = unprojected(now, points.pixel, points.depth, width)
-    local = now.local(k if (body == k).all() else body, world)
-    jacobian = image_jacobian(unknowns, now, neighbors, k, local, points.normal, width, body)
+    local = now.local(k, world)
+    jacobian = image_jacobian(unknowns, now, neighbors, k, local, points.normal, width)
     return LinearEvidence(jacobian / unit, moved.value / unit, weight * unit**2)
-
-
-def _spreads(
-    value: Float[np.ndarray, " n"],
-    informed: Bool[np.ndarray, " n"],
-    mover: Int[np.ndarray, " n"],
-    least: float,
-) -> Float[np.ndarray, " n"]:
-    """Return the robust spread of displacements at each point [px].
-
-    A door at a wrong angle is displaced as a whole. Its points have a separate spread, so that they
-    do not count as outliers. Parts with few informative points have the spread of all points.
-    """
-    spread = np.empty(len(value))
-    few = [g for g in np.unique(mover).tolist() if informed[mover == g].sum() < LEAST_POINTS]
-    mover = np.where(np.isin(mover, few), -1, mover)
-    for group in np.unique(mover).tolist():
-        own = np.full(len(value), True) if group == -1 else mover == group
-        center = np.median(value[own])
-        spread[mover == group] = 1.48 * np.median(np.abs(value - center)[informed & own])
-    return np.maximum(spread, least)
 
 
 def unprojected(
@@ -282,9 +240,8 @@ def box_evidence(
         return None
     width = shown.shape[1]
     unit = width / REFERENCE_PX
-    points, bodies = unknowns.vertices(k)
-    whole = (bodies == k).all()
-    pixels, depth = pixels_of(now.camera, now.world(k if whole else bodies, points), width)
+    points = unknowns.surfaces[k].vertices
+    pixels, depth = pixels_of(now.camera, now.world(k, points), width)
     if depth.min() <= 0:
         return None
     box = np.array(given.as_tuple()) * width / now.camera.width
@@ -307,9 +264,7 @@ def box_evidence(
         return None
     residual, deviation = np.array(residuals), np.array(deviations)
     robust = 1 / (1 + (residual / (BOX_OUTLYING * deviation)) ** 2)
-    jacobian = image_jacobian(
-        unknowns, now, neighbors, k, points[ends], np.array(normals), width, bodies[ends]
-    )
+    jacobian = image_jacobian(unknowns, now, neighbors, k, points[ends], np.array(normals), width)
     return LinearEvidence(jacobian / unit, residual, robust / deviation**2)
 
 
@@ -408,47 +363,23 @@ class NormalEquations:
         return frozenset(self._boxes)
 
     def solved(
-        self,
-        without: Collection[int] = (),
-        held: Mapping[int, float] | None = None,
-        *,
-        source: Source = "contour",
+        self, without: Collection[int] = (), *, source: Source = "contour"
     ) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns; joints stay within their limits.
+        """Return new values of the unknowns; known values stay 0.
 
         Args:
             without: indices of the objects whose evidence is omitted.
-            held: given values of unknowns, by index of the unknown.
             source: which evidence of these objects is omitted.
         """
         precision, gradient = self._precision.copy(), self._gradient.copy()
         for k in without:
             self._add(self._blocks[source][k], -1.0, precision, gradient)
-        fixed = dict.fromkeys(self._unknowns.known, 0.0) | dict(held or {})
-        first = self._unknowns.first_joint
-        while True:
-            x = self._x + self._separated(*self._fixed(precision, gradient, fixed))[: len(self._x)]
-            x[list(fixed)] = list(fixed.values())
-            limits = {
-                first + j: limit
-                for j, joint in enumerate(self._unknowns.joints)
-                if (limit := joint.limit_beyond(x[first + j])) is not None
-            }
-            if not limits:
-                return x
-            fixed |= limits
-
-    def _fixed(
-        self, precision: np.ndarray, gradient: np.ndarray, values: Mapping[int, float]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the equations with some unknowns fixed at given values."""
-        if not values:
-            return precision, gradient
-        columns = list(values)
-        precision, gradient = precision.copy(), gradient.copy()
-        precision[columns, columns] += GIVEN
-        gradient[columns] += GIVEN * (np.array(list(values.values())) - self._x[columns])
-        return precision, gradient
+        known = list(self._unknowns.known)
+        precision[known, known] += GIVEN
+        gradient[known] -= GIVEN * self._x[known]
+        x = self._x + self._separated(precision, gradient)[: len(self._x)]
+        x[known] = 0.0
+        return x
 
     def _separated(self, precision: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the solution with a penalty on every gap that would otherwise be negative."""

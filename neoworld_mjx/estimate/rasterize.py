@@ -31,15 +31,6 @@ class WorldMesh(NamedTuple):
     triangles: Int[np.ndarray, "t 3"]
 
 
-def joined(meshes: Sequence[WorldMesh]) -> WorldMesh:
-    """Return several meshes as one."""
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    return WorldMesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([m.triangles + start for m, start in zip(meshes, first, strict=False)]),
-    )
-
-
 class DrawnObjects(NamedTuple):
     """Nearest object at each pixel."""
 
@@ -47,9 +38,6 @@ class DrawnObjects(NamedTuple):
     """Index of the mesh; -1 for none."""
     depth: Float[np.ndarray, "row column"]
     """Depth along the view [m]; inf for none."""
-    body: Int[np.ndarray, "row column"] | None = None
-    """Index of the nearest body, as defined in `open_joints`; -1 for none. If None, bodies are not
-    distinguished."""
 
 
 def window_of(mask: Bool[np.ndarray, "row column"], reach: int = 0) -> tuple[slice, slice]:

@@ -73,7 +73,7 @@ class Standing:
         load = np.flatnonzero(unknowns.arrangement.ancestors[:, k])
         shares = self.mass[load] / self.mass[load].sum()
         points = tuple(
-            ContactPoint(i, i, now.world(i, self.center[i][None])[0], share)
+            ContactPoint(i, now.world(i, self.center[i][None])[0], share)
             for i, share in zip(load.tolist(), shares.tolist(), strict=True)
         )
         middle = np.sum([point.share * point.position for point in points], axis=0)
@@ -84,7 +84,7 @@ class Standing:
             for edge, sign in ((low, 1.0), (high, -1.0)):
                 normal = sign * now.turn[support][:, axis]
                 distance = float((middle - now.world(support, edge[None])[0]) @ normal)
-                foot = ContactPoint(support, support, middle - distance * normal, -1.0)
+                foot = ContactPoint(support, middle - distance * normal, -1.0)
                 yield Gap(distance - inset, INSET_DEVIATION_M, normal, (*points, foot))
 
 

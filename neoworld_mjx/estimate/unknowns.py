@@ -1,12 +1,9 @@
-"""Unknowns of the alignment, and the camera and poses of all bodies at some values of them.
-
-Camera and poses of all bodies of a scene at some values of the unknowns.
+"""Unknowns of the alignment, and the camera and poses of all objects at some values of them.
 
 The vector `x` consists of
 
 - pitch, roll, log focal length and log height of the camera,
 - dx, dy, yaw and log scale of each free object,
-- the value of each open joint, at scale 1,
 - with a depth image, the height of each free object above its support,
 - the translation and rotation of the camera of each further photograph.
 
@@ -28,29 +25,26 @@ from ..physics.layout import Arrangement, Layout, compose_poses, frames, rotatio
 from ..physics.photo_view import direction_in_wall
 from ..physics.placed import BALL_EXTENT
 from ..physics.sampling import is_round
-from ..physics.support import link_frame
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
-from ..spec.pose import Pose, matrix, yaw_of
+from ..spec.pose import matrix
 from .further_views import EACH_VIEW, ViewCamera
-from .open_joints import MovingPart, OpenJoint, open_joints, part_motions, parts_moved, with_changes
-from .rasterize import DrawnObjects, WorldMesh, draw_objects, joined
+from .rasterize import DrawnObjects, WorldMesh, draw_objects
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Camera and poses of all bodies at some values of the unknowns.
+    """Camera and poses of all objects at some values of the unknowns.
 
-    Points of a body are in the frame of the body's object, at the composed joint values and scale
-    1.
+    Points of an object are in the object's frame, at scale 1.
     """
 
     camera: Camera
-    pos: Float[np.ndarray, "body 3"]
-    """Origins in the world frame [m]; objects come first, then moving parts."""
-    turn: Float[np.ndarray, "body 3 3"]
-    """Rotation matrices from the body to the world frame."""
-    scale: Float[np.ndarray, " body"]
+    pos: Float[np.ndarray, "object 3"]
+    """Origins in the world frame [m]."""
+    turn: Float[np.ndarray, "object 3 3"]
+    """Rotation matrices from the object's to the world frame."""
+    scale: Float[np.ndarray, " object"]
     views: tuple[Camera, ...] = ()
     """Cameras of the further photographs."""
     view: int = 0
@@ -60,23 +54,13 @@ class Placement:
         """Return the placement with the camera of a photograph."""
         return replace(self, camera=self.views[view - 1], view=view) if view else self
 
-    def world(
-        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Transform points from body frames to the world; `body` is one index, or one per point."""
-        if isinstance(body, int):
-            return self.scale[body] * points @ self.turn[body].T + self.pos[body]
-        turned = np.einsum("nij,nj->ni", self.turn[body], points)
-        return self.scale[body, None] * turned + self.pos[body]
+    def world(self, k: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Transform points from the frame of object `k` to the world."""
+        return self.scale[k] * points @ self.turn[k].T + self.pos[k]
 
-    def local(
-        self, body: int | Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Transform points from the world to body frames; `body` is one index, or one per point."""
-        if isinstance(body, int):
-            return (points - self.pos[body]) @ self.turn[body] / self.scale[body]
-        turned = np.einsum("nji,nj->ni", self.turn[body], points - self.pos[body])
-        return turned / self.scale[body, None]
+    def local(self, k: int, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Transform points from the world to the frame of object `k`."""
+        return (points - self.pos[k]) @ self.turn[k] / self.scale[k]
 
 
 CAMERA = 4
@@ -84,10 +68,9 @@ CAMERA = 4
 TILT, ROLL, FOCAL = 0, 1, 2
 """Indices of the camera's pitch, its roll, and the logarithm of its focal length."""
 EACH = 4
-"""Number of unknowns of a free object, without its joints."""
+"""Number of unknowns of a free object's pose and size."""
 STRETCH = 3
-"""Number of nuisance unknowns of an object, and of the parts that a joint moves: the log stretches
-along the object's axes."""
+"""Number of nuisance unknowns of an object: the log stretches along its axes."""
 UPRIGHT = math.radians(15.0)
 """Angle of a round object's axis from the vertical up to which its heading is not seen [rad]."""
 STEP = 1e-5
@@ -114,10 +97,6 @@ class Unknowns:
     middle_depth: float
     """Depth of the scene's middle along the view [m]. A dolly zoom preserves the image at this
     depth."""
-    joints: tuple[OpenJoint, ...] = ()
-    """Open joints of free objects."""
-    parts: tuple[MovingPart, ...] = ()
-    """Parts that the open joints move. They are the bodies after the objects."""
     rises: bool = False
     """True if the heights of free objects above their supports are unknowns."""
     views: tuple[ViewCamera, ...] = ()
@@ -139,7 +118,6 @@ class Unknowns:
         scene: SceneSpec,
         camera: Camera,
         *,
-        joints: bool = True,
         only: Collection[str] | None = None,
         rises: bool = False,
         views: tuple[ViewCamera, ...] = (),
@@ -149,7 +127,6 @@ class Unknowns:
         Args:
             scene: the scene.
             camera: its camera.
-            joints: if True, open joints are unknowns.
             only: names of the objects that may move; if None, all objects with a parent may.
             rises: if True, heights above supports are unknowns.
             views: cameras of further photographs.
@@ -159,8 +136,6 @@ class Unknowns:
             for k, item in enumerate(scene.objects)
             if item.parent is not None and (only is None or item.name in only)
         ]
-        items = {k: scene.objects[k] for k in free} if joints else {}
-        opened = open_joints(items)
         lowest = [bounds(o.spec, o.joint_state, o.base_tilt)[0][2] for o in scene.objects]
         poses = world_poses(scene)
         middles = np.array([poses[scene.objects[k].name].pos for k in free]).reshape(-1, 3)
@@ -174,8 +149,6 @@ class Unknowns:
             np.array([_shows_no_heading(item) for item in scene.objects]),
             np.array(lowest),
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
-            opened,
-            parts_moved(items, opened),
             rises,
             views,
         )
@@ -198,38 +171,18 @@ class Unknowns:
     @property
     def size_with_stretches(self) -> int:
         """Number of all unknowns, including the stretches, which are nuisance parameters."""
-        return self.size + STRETCH * (len(self.free) + len(self.joints))
-
-    @property
-    def first_joint(self) -> int:
-        """Index of the first joint among the unknowns."""
-        return CAMERA + EACH * len(self.free)
+        return self.size + STRETCH * len(self.free)
 
     @property
     def first_rise(self) -> int:
         """Index of the first height above a support among the unknowns."""
-        return self.first_joint + len(self.joints)
+        return CAMERA + EACH * len(self.free)
 
     def rise_columns(self, k: int) -> list[int]:
         """Return the index of the height of a free object above its support, if it is unknown."""
         if not self.rises:
             return []
         return [self.first_rise + int(i) for i in np.flatnonzero(self.free == k)]
-
-    @cached_property
-    def object_of(self) -> Int[np.ndarray, " body"]:
-        """Index of each body's object."""
-        return np.array([*range(len(self.scene.objects)), *(p.object for p in self.parts)])
-
-    @cached_property
-    def mover(self) -> Int[np.ndarray, " body"]:
-        """Index of what moves each body relative to its object.
-
-        It is 0 if no joint moves the body, and k if the k-th distinct set of open joints does.
-        """
-        sets = list(dict.fromkeys(part.joints for part in self.parts))
-        moved = [1 + sets.index(part.joints) for part in self.parts]
-        return np.array([0] * len(self.scene.objects) + moved)
 
     @cached_property
     def shorter_side(self) -> Float[np.ndarray, " object"]:
@@ -239,77 +192,42 @@ class Unknowns:
 
     @cached_property
     def surfaces(self) -> list[WorldMesh]:
-        """Visible surface of each body."""
-        moving = {(p.object, p.part) for p in self.parts}
-        shown = []
-        for k, item in enumerate(self.scene.objects):
-            still = {p.name for p in item.spec.parts if (k, p.name) not in moving}
-            some = still if len(still) < len(item.spec.parts) else None
-            shown.append(visible_surface(item.spec, item.joint_state, some))
-        for k, part, _ in self.parts:
-            item = self.scene.objects[k]
-            shown.append(visible_surface(item.spec, item.joint_state, {part}))
-        return [WorldMesh(*surface) for surface in shown]
-
-    def body_mesh(self, place: Placement, body: int) -> WorldMesh:
-        """Return the visible surface of a body in the world."""
-        surface = self.surfaces[body]
-        return surface._replace(vertices=place.world(body, surface.vertices))
+        """Visible surface of each object, in the object's frame."""
+        items = self.scene.objects
+        return [WorldMesh(*visible_surface(item.spec, item.joint_state)) for item in items]
 
     def mesh(self, place: Placement, k: int) -> WorldMesh:
         """Return an object's visible surface in the world."""
-        bodies = np.flatnonzero(self.object_of == k).tolist()
-        return joined([self.body_mesh(place, b) for b in bodies])
-
-    def vertices(self, k: int) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-        """Return the vertices of an object's visible surface, and the body of each vertex."""
-        bodies = np.flatnonzero(self.object_of == k).tolist()
-        points = [self.surfaces[b].vertices for b in bodies]
-        return np.concatenate(points), np.repeat(bodies, [len(p) for p in points])
+        surface = self.surfaces[k]
+        return surface._replace(vertices=place.world(k, surface.vertices))
 
     def draw(self, place: Placement, width: int) -> DrawnObjects:
-        """Render the scene in a placement, with the body at each pixel."""
-        meshes = [self.body_mesh(place, b) for b in range(len(self.surfaces))]
-        drawn = draw_objects(meshes, place.camera, width)
-        owner = np.append(self.object_of, -1)[drawn.owner]
-        return DrawnObjects(owner, drawn.depth, drawn.owner)
+        """Render the scene in a placement."""
+        meshes = [self.mesh(place, k) for k in range(len(self.surfaces))]
+        return draw_objects(meshes, place.camera, width)
 
     def columns(self, k: int) -> slice:
         """Return the indices of the unknowns of a free object's pose and size."""
         first = CAMERA + EACH * int(np.flatnonzero(self.free == k)[0])
         return slice(first, first + EACH)
 
-    def joint_columns(self, k: int) -> list[int]:
-        """Return the indices of the unknowns of an object's open joints."""
-        return [self.first_joint + j for j, joint in enumerate(self.joints) if joint.object == k]
-
     def stretch_columns(self, k: int) -> list[int]:
-        """Return the indices of the stretches of a free object and of its moving parts."""
+        """Return the indices of the stretches of a free object."""
         own = int(np.flatnonzero(self.free == k)[0])
-        joints = [len(self.free) + j for j, joint in enumerate(self.joints) if joint.object == k]
-        return [self.size + STRETCH * i + axis for i in (own, *joints) for axis in range(STRETCH)]
+        return [self.size + STRETCH * own + axis for axis in range(STRETCH)]
 
     def own_columns(self, k: int) -> list[int]:
         """Return the indices of all unknowns of a free object."""
-        pose = range(*self.columns(k).indices(self.size))
-        return [*pose, *self.joint_columns(k), *self.rise_columns(k)]
+        return [*range(*self.columns(k).indices(self.size)), *self.rise_columns(k)]
 
     def is_size(self, u: int) -> bool:
         """Return whether an unknown is the size of an object."""
-        return CAMERA <= u < self.first_joint and (u - CAMERA) % EACH == EACH - 1
-
-    def joint_changes(self, x: Float[np.ndarray, " u"]) -> dict[int, dict[str, float]]:
-        """Return the changes of joint values, by index of the object and name of the joint."""
-        changes: dict[int, dict[str, float]] = {}
-        values = x[self.first_joint : self.first_rise].tolist()
-        for joint, value in zip(self.joints, values, strict=True):
-            changes.setdefault(joint.object, {})[joint.name] = value
-        return changes
+        return CAMERA <= u < self.first_rise and (u - CAMERA) % EACH == EACH - 1
 
     def layout(self, x: Float[np.ndarray, "batch u"]) -> Layout:
         """Return the unknowns of all objects as a batch of layouts."""
         values = np.zeros((len(x), len(self.scene.objects), EACH))
-        own = x[:, CAMERA : self.first_joint]
+        own = x[:, CAMERA : self.first_rise]
         values[:, self.free] = own.reshape(len(x), -1, EACH)
         on_wall = self.in_wall.any(axis=1, keepdims=True)
         xy = np.where(on_wall, values[..., :1] * self.in_wall, values[..., :2])
@@ -328,7 +246,7 @@ class Unknowns:
         parent = np.where(a.parent >= 0, size[:, np.maximum(a.parent, 0)], 1.0)
         fixed = np.array([item.relation == "attached" for item in self.scene.objects])
         up = np.zeros((len(x), len(fixed)))
-        up[:, self.free] = x[:, CAMERA + 1 : self.first_joint : EACH]
+        up[:, self.free] = x[:, CAMERA + 1 : self.first_rise : EACH]
         up = np.where(self.in_wall.any(axis=1), up, 0.0)
         standing = (a.z + self.lowest) * parent - self.lowest * size
         heights = np.where(fixed, a.z * parent + up, standing)
@@ -352,8 +270,7 @@ class Unknowns:
     def place(self, x: Float[np.ndarray, "batch u"]) -> list[Placement]:
         """Return the placement of the scene for each row of `x`."""
         layout = self.layout(x)
-        arrangement, motions = self._opened(x)
-        poses = compose_poses(arrangement, layout, self.heights(x, layout), np)
+        poses = compose_poses(self.arrangement, layout, self.heights(x, layout), np)
         placements = []
         for i, row in enumerate(x):
             camera, ahead = self.camera_at(row)
@@ -361,13 +278,6 @@ class Unknowns:
                 np.asarray(value[i]) for value in (poses.pos, rotation(poses.quat, np), poses.scale)
             )
             pos = pos + [ahead, 0.0, 0.0]
-            if self.parts:
-                k = [part.object for part in self.parts]
-                shift = np.array([motion.pos for motion in motions[i]])
-                own = np.array([matrix(motion.quat) for motion in motions[i]])
-                moved = np.einsum("nij,nj->ni", turn[k], scale[k, None] * shift)
-                pos = np.concatenate([pos, pos[k] + moved])
-                turn, scale = np.concatenate([turn, turn[k] @ own]), np.append(scale, scale[k])
             placements.append(Placement(camera, pos, turn, scale, self._views(row, camera, ahead)))
         return placements
 
@@ -381,42 +291,6 @@ class Unknowns:
             view.at(first, ahead, log_focal, change)
             for view, change in zip(self.views, changes, strict=True)
         )
-
-    def _opened(self, x: Float[np.ndarray, "batch u"]) -> tuple[Arrangement, list[list[Pose]]]:
-        """Return the arrangement with updated support frames, and the motions of moving parts.
-
-        Support frames on moving parts are updated. All frames have a leading axis for the rows of
-        `x`.
-        """
-        a = self.arrangement
-        if not self.parts:
-            return a, []
-        items = self.scene.objects
-        on_parts = [
-            (i, int(a.parent[i]))
-            for i, item in enumerate(items)
-            if item.parent_link is not None
-            and (int(a.parent[i]), item.parent_link) in {p[:2] for p in self.parts}
-        ]
-        frame_pos = np.tile(a.frame_pos, (len(x), 1, 1))
-        frame_yaw = np.tile(a.frame_yaw, (len(x), 1))
-        rows = []
-        found: dict[tuple[float, ...], tuple[list[Pose], list[Pose]]] = {}
-        for r, row in enumerate(x):
-            key = tuple(row[self.first_joint : self.first_rise].tolist())
-            if key not in found:
-                changes = self.joint_changes(row)
-                motions = {k: part_motions(items[k], by) for k, by in changes.items()}
-                links = [
-                    link_frame(with_changes(items[k], changes[k]), items[i].parent_link)
-                    for i, k in on_parts
-                ]
-                found[key] = [motions[p.object][p.part] for p in self.parts], links
-            own, links = found[key]
-            rows.append(own)
-            for (i, _), link in zip(on_parts, links, strict=True):
-                frame_pos[r, i], frame_yaw[r, i] = link.pos, yaw_of(link.quat)
-        return a._replace(frame_pos=frame_pos, frame_yaw=frame_yaw), rows
 
     def neighbors(self, x: Float[np.ndarray, " u"]) -> list[Placement]:
         """Return one placement for each unknown, in which this unknown is increased by STEP."""
@@ -454,25 +328,17 @@ class Unknowns:
         if self.rises:
             own = self.columns(k).stop - 1 if k in self.free else -1
             places = [u for u in places if u == own or not self.is_size(u)]
-        return places + [
-            u
-            for other in above.tolist()
-            for u in (*self.joint_columns(other), *self.rise_columns(other))
-        ]
+        return places + [u for other in above.tolist() for u in self.rise_columns(other)]
 
     def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
         """Return the scene, with its camera, at the values `x` of the unknowns."""
         layout = self.layout(x[None])
-        items = list(self.scene.objects)
-        for k, changes in self.joint_changes(x).items():
-            items[k] = with_changes(items[k], {name: by for name, by in changes.items() if by})
-        opened = self.scene.model_copy(update={"objects": tuple(items)})
         camera, ahead = self.camera_at(x)
         height = self.heights(x[None], layout)[0]
         xy, yaw, log_scale = (
             np.asarray(value[0]) for value in (layout.xy, layout.yaw, layout.log_scale)
         )
-        scene = with_layout(opened, xy, yaw, log_scale, height)
+        scene = with_layout(self.scene, xy, yaw, log_scale, height)
         objects = [
             item
             if item.parent is not None

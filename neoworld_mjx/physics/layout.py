@@ -65,8 +65,6 @@ class Variation(Candidates):
     """Factors of the dry friction of joints."""
     joint_damping: Float[AnyArray, "pop joint"]
     """Factors of the damping of joints."""
-    joint_shift: Float[AnyArray, "pop joint"]
-    """Changes of the initial positions of hinges and slides [rad or m]; 0 for ball joints."""
 
 
 class Poses(Candidates):

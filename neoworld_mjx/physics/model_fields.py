@@ -11,7 +11,7 @@ import numpy as np
 
 from ..spec.scale import mimic_exponents
 from .layout import Poses, Variation
-from .model import FREE, HINGE, MESH, SLIDE, CompiledScene
+from .model import FREE, MESH, SLIDE, CompiledScene
 
 
 def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
@@ -80,9 +80,6 @@ def _varied(scene: CompiledScene, v: Variation, fields: dict[str, Any], xp: Any)
     column = np.full(m.njnt, -1)
     column[s.joints] = np.arange(len(s.joints))
     of_dof = column[m.dof_jntid] if m.nv else np.zeros(0, int)
-    moves = s.joints[np.isin(m.jnt_type[s.joints], (SLIDE, HINGE))]
-    at = m.jnt_qposadr[moves]
-    shifted = fields["qpos"][:, at] + v.joint_shift[:, column[moves]]
     times = lambda field, factor: field * factor.reshape(*factor.shape, *[1] * (field.ndim - 2))
     return {
         "body_mass": fields["body_mass"] * mass,
@@ -92,7 +89,6 @@ def _varied(scene: CompiledScene, v: Variation, fields: dict[str, Any], xp: Any)
             fields["dof_frictionloss"], owner_scale(v.joint_friction, of_dof, xp)
         ),
         "dof_damping": times(fields["dof_damping"], owner_scale(v.joint_damping, of_dof, xp)),
-        "qpos": _set_columns(fields["qpos"], at, shifted, xp),
     }
 
 

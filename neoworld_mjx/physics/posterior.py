@@ -1,4 +1,4 @@
-"""Draws from what a photograph leaves open: poses, sizes, openings, the camera, and physics.
+"""Draws from what a photograph leaves open: poses, sizes, the camera, and physics.
 
 The alignment estimates poses and sizes with their standard deviations (`SceneObject.uncertainty`)
 and correlations (`SceneSpec.correlation`). Quantities that no picture shows have a prior.
@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..spec import SceneSpec, joint_value
+from ..spec import SceneSpec
 from ..spec.correlation import EACH, PoseCorrelation
 from .layout import Layout, Variation
-from .model import BALL, CompiledScene
+from .model import CompiledScene
 from .photo_view import photo_deviations
 
 RANK = 1e-3
@@ -100,22 +100,16 @@ def draw(
     n: int,
     prior: PhysicalPrior | None = None,
 ) -> Draws:
-    """Draw from the estimate of a scene, and from the priors.
-
-    Openings stay within the ranges of their joints.
-    """
+    """Draw from the estimate of a scene, and from the priors."""
     spec, static, p = scene.spec, scene.static, prior or PhysicalPrior()
     count, joints = len(static.names), len(static.joints)
     normals = rng.standard_normal((n, EACH * (1 + count)))
     factors = lambda deviation, size: np.exp(deviation * rng.standard_normal((n, size)))
-    deviation, low, high = openings(scene)
-    shift = np.clip(deviation * rng.standard_normal((n, joints)), low, high)
     variation = Variation(
         factors(p.density, count),
         factors(p.friction, count),
         factors(p.joint_friction, joints),
         factors(p.joint_damping, joints),
-        shift,
     )
     return Draws.of(normals, pose_factor(spec), variation)
 
@@ -152,24 +146,5 @@ def draw_again(
         np.where(objects, new.friction, old.friction),
         np.where(joints, new.joint_friction, old.joint_friction),
         np.where(joints, new.joint_damping, old.joint_damping),
-        np.where(joints, new.joint_shift, old.joint_shift),
     )
     return Draws.of(normals, factor, variation)
-
-
-def openings(scene: CompiledScene) -> Float[np.ndarray, "3 joint"]:
-    """Return the deviation of each joint's position, and the bounds of its change [rad or m]."""
-    static, rows = scene.static, []
-    for k, name in enumerate(static.joint_names):
-        item = scene.spec.objects[static.joint_object[k]]
-        joint = item.spec.joint(name.split("-", 1)[1])
-        known = {} if item.uncertainty is None else item.uncertainty.joints
-        if static.mjm.jnt_type[static.joints[k]] == BALL or joint.name not in known:
-            rows.append((0.0, 0.0, 0.0))
-            continue
-        value = joint_value(item.spec, joint, item.joint_state)
-        limits = (-np.inf, np.inf)
-        if joint.type != "continuous":
-            limits = (min(joint.lower - value, 0.0), max(joint.upper - value, 0.0))
-        rows.append((known[joint.name], *limits))
-    return np.array(rows, float).reshape(-1, 3).T

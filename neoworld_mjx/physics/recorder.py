@@ -219,8 +219,6 @@ def _joint_shift(static: StaticScene, k: int, poses: Poses, qpos: NDArray) -> ND
     start = qpos.dtype.type(static.start[address])
     if m.jnt_type[joint] == SLIDE:
         start = (start * poses.scale[:, static.joint_object[k]])[:, None]
-    if poses.variation is not None:
-        start = start + np.asarray(poses.variation.joint_shift)[:, k, None]
     return np.abs(qpos[:, :, address] - start)
 
 

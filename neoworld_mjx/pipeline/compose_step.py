@@ -83,7 +83,7 @@ def compose_scene(context: StepContext) -> None:
                 scene = scene_in_frame(scene, base)
             scene, stale = apply_layout(scene, patch, options.gap_m)
             if evidence.photo is not None and options.looks:
-                from ..estimate.looks import as_photographed
+                from ..render.looks import as_photographed
 
                 scene = _with_own_looks(
                     as_photographed(scene, evidence.photo), scene, kept.objects.assets
@@ -208,7 +208,7 @@ def _with_own_looks(scene: SceneSpec, before: SceneSpec, assets: Collection[str]
 
 
 def _record_notes(run: RunFolder, placed: "LayoutEstimate") -> None:
-    for note in (*placed.composed.notes, *placed.notes):
+    for note in placed.composed.notes:
         name, _, change = note.partition(": ")
         record = run.fallback if note in placed.composed.shortfalls else run.note
         record("compose", name, change)

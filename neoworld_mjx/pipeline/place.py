@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from ..compose.compose import Composed, compose
 from ..compose.layout_patch import apply_layout, kept_layout
 from ..compose.on_supports import put_down
-from ..compose.resting_pose import with_aligned_joints_held
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
 from ..estimate.align import align
@@ -44,8 +43,6 @@ class LayoutEstimate:
     """Report of the fit; None if the tree was not fitted."""
     alignment: Alignment | None = None
     """The alignment, before its objects were put down; None without one."""
-    notes: tuple[str, ...] = ()
-    """A note for each joint whose friction was raised after the alignment."""
     seconds: float = 0.0
     """Wall time [s]."""
 
@@ -96,12 +93,9 @@ def place(
         measured=tree.camera_measured,
         evidence=evidence,
     )
-    aligned, notes = alignment.scene, ()
-    if options.hold_joints:
-        aligned, notes = with_aligned_joints_held(aligned)
-    scene = _with_kept(put_down(aligned, options.gap_m), tree, evidence, options)
+    scene = _with_kept(put_down(alignment.scene, options.gap_m), tree, evidence, options)
     seconds = time.perf_counter() - began
-    return LayoutEstimate(tree, composed, scene, fit, alignment, notes, seconds)
+    return LayoutEstimate(tree, composed, scene, fit, alignment, seconds)
 
 
 def _composed(

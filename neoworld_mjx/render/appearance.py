@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -291,6 +292,25 @@ def displayed(light: NDArray) -> NDArray:
     """Convert linear light to display (sRGB) color, clipped to [0, 1]."""
     x = np.clip(light, 0.0, 1.0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+_TO_XYZ = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+) / np.array([[0.9505], [1.0], [1.089]])
+
+
+def to_lab(rgb: np.ndarray) -> Float[np.ndarray, "*n 3"]:
+    """Convert display colors (sRGB, 0 to 255) to CIE Lab, D65."""
+    xyz = linear(rgb.astype(float) / 255.0) @ _TO_XYZ.T
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.stack(
+        [
+            116 * f[..., 1] - 16,
+            500 * (f[..., 0] - f[..., 1]),
+            200 * (f[..., 1] - f[..., 2]),
+        ],
+        axis=-1,
+    )
 
 
 _STEPS = 8192

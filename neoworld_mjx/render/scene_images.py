@@ -1,7 +1,7 @@
 """Images of scenes and single objects in views that frame them."""
 
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,17 +95,14 @@ def visible_vertices(spec: ObjectSpec, joint_state: Mapping[str, float] | None =
 def visible_surface(
     spec: ObjectSpec,
     joint_state: Mapping[str, float] | None = None,
-    parts: Collection[str] | None = None,
 ) -> tuple[NDArray, NDArray]:
-    """Return the visible surface of an object, or of some of its parts.
+    """Return the visible surface of an object.
 
     If an object has no visible geoms, return the corners of its bounding box and no triangles.
 
     Args:
         spec: the object.
         joint_state: joint values [rad or m]; joints that are not listed are at 0.
-        parts: names of the parts; if None, all parts. If these parts have no visible geoms, return
-            no vertices.
 
     Returns:
         Vertices in the object's frame [m], shape [n, 3], and triangles, shape [t, 3].
@@ -117,14 +114,12 @@ def visible_surface(
     triangles: list[NDArray] = []
     for part in spec.parts:
         for geom in part.geoms:
-            if geom.role != "collision" and (parts is None or part.name in parts):
+            if geom.role != "collision":
                 vertices, faces = geom.shape.surface()
                 points.append(part_poses[part.name].then(geom.pose()).apply(vertices))
                 triangles.append(faces)
     if points:
         return append_faces(points, triangles)
-    if parts is not None:
-        return np.zeros((0, 3)), np.zeros((0, 3), int)
     low, high = bounds(spec, dict(joint_state or {}))
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     return corners, np.zeros((0, 3), int)

@@ -48,8 +48,6 @@ class PoseUncertainty(Spec):
     so that no photograph shows it."""
     log_scale: Deviation
     """Standard deviation of the logarithm of the size."""
-    joints: dict[JointKey, Deviation] = Field(default={}, exclude_if=lambda value: not value)
-    """Standard deviations of the positions of joints that the photograph shows open [rad or m]."""
 
 
 class SceneObject(Spec):

@@ -254,7 +254,7 @@ def test_factors_of_the_uncertainty_are_along_across_heading_and_size(aligned, m
     rows = np.zeros((4, unknowns.size))
     rows[:, unknowns.columns(k)] = covariance
     monkeypatch.setattr(align_module, "CALIBRATION", (3.0, 5.0, 7.0, 11.0))
-    known = align_module._uncertainty(unknowns, placed, k, rows, {})
+    known = align_module._uncertainty(unknowns, placed, k, rows)
     assert (known.along, known.across) == pytest.approx((0.03, 0.1))
     assert (known.yaw, known.log_scale) == pytest.approx((1.4, 3.3))
 

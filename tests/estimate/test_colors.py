@@ -13,9 +13,9 @@ from neoworld_mjx.estimate.colors import (
     is_supported,
     log_likelihood_ratio,
     shown_at,
-    to_lab,
 )
 from neoworld_mjx.estimate.rasterize import draw_objects
+from neoworld_mjx.render.appearance import to_lab
 from tests.estimate import desk
 
 RED, GRAY, BLUE = (200, 30, 30), (128, 128, 128), (30, 40, 200)

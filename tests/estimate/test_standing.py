@@ -26,7 +26,7 @@ def on_post(x, y=0.0, width=0.06, turn=0.0):
 
 def standing(scene):
     unknowns = desk.unknowns_of(scene)
-    return unknowns, Standing.of(unknowns, SceneGeoms.of(scene, unknowns.parts))
+    return unknowns, Standing.of(unknowns, SceneGeoms.of(scene))
 
 
 def insets(scene, x=None):

@@ -48,7 +48,6 @@ def values(unknowns, seed=0, size=1.0):
         [
             rng.normal(0, 0.05, CAMERA),
             rng.normal(0, (0.02, 0.02, 0.1, 0.05), (len(unknowns.free), EACH)).ravel(),
-            rng.normal(0, 0.02, len(unknowns.joints)),
         ]
     )
 
@@ -67,13 +66,13 @@ def written(unknowns, x, k, points):
 def test_placement_at_zero_is_the_scene(make):
     scene = make()
     unknowns = desk.unknowns_of(scene)
-    assert unknowns.size == CAMERA + EACH * len(unknowns.free) + len(unknowns.joints)
+    assert unknowns.size == CAMERA + EACH * len(unknowns.free)
     assert [scene.objects[k].name for k in unknowns.free] == [
         item.name for item in scene.objects if item.parent is not None
     ]
     now = unknowns.place(np.zeros((1, unknowns.size)))[0]
     assert now.camera == scene.camera
-    assert np.array_equal(now.scale, np.ones(len(scene.objects) + len(unknowns.parts)))
+    assert np.array_equal(now.scale, np.ones(len(scene.objects)))
     for k, pose in enumerate(world_poses(scene).values()):
         assert now.pos[k] == pytest.approx(pose.pos, abs=1e-12)
         assert now.turn[k] == pytest.approx(matrix(pose.quat), abs=1e-12)

@@ -79,7 +79,6 @@ def photograph_section(folder: Path) -> Markup:
         elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
         elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
         *(_evidence(folder, aligned) if (folder / GIVEN).is_file() else ()),
-        *_openings(objects),
     )
 
 
@@ -106,15 +105,6 @@ def _camera_sources(aligned: dict[str, Any]) -> list[Markup]:
         rows.append([labels.get(name, name), *texts, entry["source"]])
     heads = ["camera", "#value", "#standard deviation", "known by"]
     return [elements.table(heads, rows)] if rows else []
-
-
-def _openings(objects: dict[str, Any]) -> list[Markup]:
-    """Return a sentence about each joint that the photograph shows open."""
-    return [
-        elements.paragraph(f"{name}: {joint} {change['phrase']}.")
-        for name, item in objects.items()
-        for joint, change in item.get("joints", {}).items()
-    ]
 
 
 def _camera(aligned: dict[str, Any]) -> str:

@@ -19,14 +19,14 @@ from scipy.optimize import least_squares
 from ..errors import SpecError
 from ..io.names import unused
 from ..physics.mjcf import visual_name
-from ..render import RenderedImage, View, render
-from ..render.appearance import base64_png, displayed, linear
-from ..render.flat_rendering import flat_faces
 from ..spec import Camera, ObjectSpec, PartSpec, SceneObject, SceneSpec, link_poses, world_poses
 from ..spec.pose import Pose, matrix
 from ..spec.room import PhotoPrint
 from ..spec.scene import Backdrop
-from .colors import to_lab
+from .appearance import base64_png, displayed, linear, to_lab
+from .flat_rendering import flat_faces
+from .rendering import RenderedImage, render
+from .view import View
 
 Alignment = tuple[NDArray, NDArray]
 """Stretch, shape [2], and shift [px], shape [2]: pixel x of the rendered image corresponds to pixel

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.looks import as_photographed
 from neoworld_mjx.export.write_mjcf import mjcf_text
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import render
 from neoworld_mjx.render.appearance import linear, read_print
+from neoworld_mjx.render.looks import as_photographed
 from tests.estimate import desk
 
 

@@ -10,11 +10,11 @@ from PIL import Image
 from pxr import Usd, UsdShade
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.estimate.looks import printed
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.write_glb import visible_surface
 from neoworld_mjx.render import render
 from neoworld_mjx.render.appearance import print_png, read_print
+from neoworld_mjx.render.looks import printed
 from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
 from neoworld_mjx.spec.room import PhotoPrint
 from tests.support.mechanisms import WOOD, geom, joint, part
