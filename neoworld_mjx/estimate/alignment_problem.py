@@ -40,8 +40,9 @@ CAMERA_NAMES = ("pitch", "roll", "focal", "height")
 """Names of the camera's unknowns, in their order."""
 COARSE_PX, FINE_PX = 320, 640
 """Widths of the coarse and the fine image [px]."""
-PLANE_DEVIATIONS = {"pitch": math.radians(0.1), "roll": math.radians(0.1), "height": 0.003}
-"""Standard deviations of the camera by the plane of a support: angles [rad], and log height."""
+PLANE_DEVIATIONS = {"pitch": math.radians(0.3), "roll": math.radians(0.3), "height": 0.01}
+"""Standard deviations of the camera by the plane of a support: angles [rad], and log height. Flat
+objects on the support tilt the plane by up to .8 degrees; the noise of a sensor by .1."""
 CONTRADICTED = "the place that it suggests contradicts the object's colors or mask"
 """Reason reported for objects whose depth is not used."""
 SAME_OVERLAP = 0.01
