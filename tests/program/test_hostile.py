@@ -47,11 +47,11 @@ HOSTILE: dict[str, tuple[str, str]] = {
         "timeout: .*look for an endless loop",
     ),
     "endless_shapes": (
-        BODY + "for k in range(10 ** 6):\n    try:\n"
-        "        h = [sphere(0.04 + 1e-6 * k).moved((0.1 * (i % 8), 0.1 * (i // 8), 0)) "
-        "for i in range(63)]\n        difference(box((10, 10, 1)), *h)\n"
+        BODY + "h = [sphere(0.04).moved((0.1 * (i % 8), 0.1 * (i // 8), 0)) for i in range(63)]\n"
+        "for k in range(10 ** 6):\n    try:\n"
+        "        difference(box((10, 10, 1 + 1e-6 * k)), *h)\n"
         "    except ValueError:\n        pass",
-        "timeout: line [67]: building the shapes took over 1 s; use fewer",
+        "timeout: line \\d: building the shapes took over 1 s; use fewer",
     ),
     # Memory, recursion and output.
     "power": ("print(10 ** 10 ** 8)", "memory: line 1: .*holds too much at once"),
