@@ -45,7 +45,7 @@ class NoisyRuns(Place):
     """Options of suites that run methods from noisy initial scenes."""
 
     evidence: tuple[str, ...] = ("none",)
-    """What is given in addition to the photograph: kinds joined by "+", such as fov+depth; the
+    """Evidence in addition to the photograph: kinds joined by "+", such as fov+depth; the
     methods run with each. fov, exif: field of view, calibrated or with an error of 3 %; pose:
     pitch, roll and height of the camera; depth: of a sensor; affine, disparity: depth of a network,
     up to scale and shift; masks; second, stereo: a second photograph, with unknown or known pose.
@@ -143,7 +143,7 @@ class Plans(ModelRequests):
     method: tuple[str, ...] = ("truth", "ours", "open_loop")
     """Methods that reconstruct the scene that the model sees, as in `bench run tasks`."""
     evidence: str = "none"
-    """What is given in addition to the photograph, as one set of `bench run tasks`."""
+    """Evidence in addition to the photograph, as one set of `bench run tasks`."""
     starts: int = 1
     """Initial scenes of each task and method."""
     noise: Literal["exact", "layout", "parse"] = "parse"
@@ -155,7 +155,7 @@ class Plans(ModelRequests):
 @dataclass(frozen=True, kw_only=True)
 class Policies(NoisyRuns):
     """Train policies of a flying gripper in reconstructions of manipulation tasks, and run them in
-    the ground truth, beside the open-loop plan of the same reconstruction.
+    the ground truth, and compare them with the open-loop plan of the same reconstruction.
     """
 
     task: tuple[str, ...] = ()
@@ -165,7 +165,7 @@ class Policies(NoisyRuns):
     trained_in: tuple[Literal["plan", "scene", "mean", "truth"], ...] = (
         *("plan", "scene", "mean", "truth"),
     )
-    """Where policies are trained. scene: in draws of the reconstruction; mean: in the
+    """Scenes in which policies are trained. scene: in draws of the reconstruction; mean: in the
     reconstruction alone, without randomization; truth: in the ground truth with draws of its
     physics. plan is the open-loop plan instead."""
     noise: Literal["exact", "layout", "parse"] = "parse"

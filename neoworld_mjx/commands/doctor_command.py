@@ -28,7 +28,7 @@ class Missing(NamedTuple):
     consequence: str
     """Features that are missing or slow without the component."""
     remedy: str
-    """How to get the component."""
+    """Command that installs the component."""
 
 
 def missing_components() -> list[Missing]:

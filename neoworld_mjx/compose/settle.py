@@ -264,7 +264,7 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> NDArray:
 def _drop(
     world: CompiledScene, drops: Sequence[tuple[NDArray, NDArray]], size: float
 ) -> Iterator[tuple[Pose, float]]:
-    """Let the second object of a scene come to rest from some shifts and rotations.
+    """Settle the second object of a scene from some shifts and rotations.
 
     Yield each pose at which it rests, and the height of its center of mass there [m].
     """

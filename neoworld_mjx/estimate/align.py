@@ -192,7 +192,7 @@ def _solution(
     }
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
-    x = problem.start()
+    x, problem = problem.start(), replace(problem, mean=problem.prior_mean())
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if problem.uses_edges:

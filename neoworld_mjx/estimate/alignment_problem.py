@@ -16,6 +16,7 @@ from .colors import LabImage, is_supported, overlap, shown_at
 from .contacts import ContactGaps, SceneGeoms, contacts
 from .depth_rows import SceneDepth
 from .depth_start import (
+    MeasuredPlace,
     SupportPlane,
     moved_to,
     place_by_depth,
@@ -88,6 +89,8 @@ class AlignmentProblem:
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    mean: Float[np.ndarray, " u"] | None = None
+    """Mean of the prior; None for the composed scene."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
@@ -103,14 +106,30 @@ class AlignmentProblem:
 
         The plane of a support locates the camera first. Objects follow, parents first.
         """
-        unknowns = self.unknowns
-        x = self.camera_start()
         if self.evidence.depth is None:
-            return x
-        first = self.depth_at(np.zeros_like(x))
+            return self.camera_start()
+        first = self.depth_at(np.zeros(self.unknowns.size))
+        return self._with_objects(lambda k: place_by_depth(first, k))
+
+    def prior_mean(self) -> Float[np.ndarray, " u"]:
+        """Return the mean of the prior, which is the composed scene if no plane is measured.
+
+        A measured plane turns the camera. Objects then keep their composed horizontal places before
+        it, on their supports: they were composed from the picture.
+        """
+        if self.plane is None:
+            return self.camera_start()
+        now = self.unknowns.place(np.zeros((1, self.unknowns.size)))[0]
+        seen = (now.pos - now.camera.position()) @ now.camera.axes()
+        return self._with_objects(lambda k: MeasuredPlace(seen[k], 1.0))
+
+    def _with_objects(
+        self, place_of: Callable[[int], MeasuredPlace | None]
+    ) -> Float[np.ndarray, " u"]:
+        unknowns, x = self.unknowns, self.camera_start()
         level = unknowns.arrangement.ancestors.sum(axis=1)
         for k in sorted(unknowns.free.tolist(), key=lambda k: (level[k], k)):
-            place = place_by_depth(first, k)
+            place = place_of(k)
             if place is not None and not unknowns.in_wall[k].any():
                 x[unknowns.columns(k)] = moved_to(unknowns, place, k, x)
         x[list(unknowns.known)] = 0.0
@@ -212,8 +231,7 @@ class AlignmentProblem:
         depth = None
         if self.evidence.depth is not None:
             depth = SceneDepth.of(self.evidence.depth, self.evidence.masks, unknowns, now, drawn)
-        # The deviations of a measured camera are about the measured one, not the composed one.
-        mean = self.camera_start()
+        mean = np.zeros_like(x) if self.mean is None else self.mean
         equations = NormalEquations(
             unknowns,
             prior_precision(unknowns, now, x - mean, self.camera_deviations()),

@@ -114,7 +114,7 @@ def _find_meshes(path: Path, root: ET.Element, notes: list[str]) -> None:
     """Check that all meshes exist, and note the settings of MuJoCo that are not applied.
 
     A mesh that is not where the file names it is looked for without its folders, as MuJoCo does:
-    in the `meshdir` of the element <mujoco>, or beside the file.
+    in the `meshdir` of the element <mujoco>, or next to the file.
     """
     stated = {key: v for e in root.findall("mujoco/*") for key, v in e.attrib.items()}
     folder = stated.get("meshdir", stated.get("assetdir", ""))

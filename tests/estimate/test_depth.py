@@ -146,6 +146,25 @@ def test_the_plane_turns_a_misjudged_camera(five, photo):
     assert found.height == pytest.approx(desk.CAMERA.height, rel=0.005)
 
 
+def test_objects_without_evidence_keep_their_place_before_the_camera(five, photo):
+    """Not their place in the world, if depth turns the camera."""
+    camera = desk.CAMERA.model_copy(update={"pitch": desk.CAMERA.pitch + 0.03})
+    bare = tuple(item.model_copy(update={"box2d": None}) for item in five.objects)
+    misjudged = five.model_copy(update={"camera": camera, "objects": bare})
+    owner = desk.drawn(five, 640).owner
+    support = np.where(
+        np.isin(owner, [k for k, o in enumerate(bare) if o.static]), noisy(five), np.nan
+    )
+    evidence = Evidence(camera=KNOWN, depth=DepthImage(support))
+    options = AlignOptions(contours=False, contacts=False)
+    found = align(misjudged, photo, options, evidence=evidence).scene
+    for name in ("box", "can", "brick"):
+        seen = (world_poses(misjudged)[name].pos - camera.position()) @ camera.axes()
+        expected = found.camera.position() + found.camera.axes() @ seen
+        # The height is that of the support.
+        assert world_poses(found)[name].pos[:2] == pytest.approx(expected[:2], abs=0.01)
+
+
 def test_no_plane_without_a_level_support(five):
     """A depth image of a wall in front of the camera."""
     wall = np.full((480, 640), 0.7)

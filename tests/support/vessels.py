@@ -77,7 +77,7 @@ def fullness(name: str) -> float:
 
 
 def holds(name: str) -> bool:
-    """Whether a ball of 12 mm radius, dropped from above, lies in the cavity after 1.5 s."""
+    """Return True if a ball of 12 mm radius, dropped from above, lies in the cavity after 1.5 s."""
     spec = vessel(name)
     low, high = bounds(spec)
     model = to_mjspec(spec, timestep=0.0005)

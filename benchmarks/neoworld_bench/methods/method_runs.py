@@ -78,7 +78,7 @@ class RunSettings:
     compose: ComposeOptions
     noise: NoiseLevel
     evidence: tuple[str, ...] = ("none",)
-    """What is given in addition to the photograph: kinds joined by "+"; methods run with each."""
+    """Evidence in addition to the photograph: kinds joined by "+"; methods run with each."""
 
 
 def run_settings(options: Any, config: Config, evidence: Sequence[str]) -> RunSettings:
@@ -103,7 +103,7 @@ class MethodJob:
     settings: RunSettings
     threads: int
     evidence: str = "none"
-    """What is given in addition to the photograph."""
+    """Evidence in addition to the photograph: kinds joined by "+", or none."""
 
     def initial(self, truth: SceneSpec, stream: str, errors: NoiseLog) -> InitialScene:
         """Add noise to the exact response for the ground truth, and compose the initial scene.
