@@ -4,6 +4,7 @@ Paper Section 3.3, Step 4, and Appendix B. Programs have arbitrary units. The pa
 determines the absolute scale of each object, and the support determines the object's height.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ..config import ComposeOptions
 from ..errors import SpecError
 from ..spec import (
+    Box3D,
     ObjectSpec,
     Quat,
     SceneObject,
@@ -21,9 +23,10 @@ from ..spec import (
     TreeNode,
     bounds,
     support_frame,
+    world_poses,
 )
 from ..spec.opening import matching_joint
-from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, yaw_of
+from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, rotate, yaw_of
 from ..spec.scale import BoxFit, fit_to_box
 from .on_supports import snap
 from .resting_pose import is_stable_upright, on_level, resting_tilt, with_joint_friction
@@ -69,11 +72,7 @@ def compose(
     Raises:
         SpecError: a node has no object.
     """
-    missing = [node.name for node in tree.nodes if node.name not in objects]
-    if missing:
-        raise SpecError(
-            f"no object for node {', '.join(missing)}; the objects are {sorted(objects)}"
-        )
+    _check_objects(tree, objects)
     options = options or ComposeOptions()
     notes, shortfalls = list[str](), list[str]()
     placed: dict[str, SceneObject] = {}
@@ -94,6 +93,69 @@ def compose(
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
     scene = snap(scene, options.gap_m)
     return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
+
+
+def as_parsed(
+    tree: SceneTree, objects: Mapping[str, ObjectSpec], options: ComposeOptions | None = None
+) -> SceneSpec:
+    """Return the built objects, scaled to their parsed boxes, at their parsed places.
+
+    Objects are on their supports, but contents of containers at their parsed height: a place that
+    is a little off may be on a rim, and would raise them.
+
+    Args:
+        tree: the parse.
+        objects: built object of every node, by the node's name.
+        options: clearance under snapped objects.
+
+    Raises:
+        SpecError: a node has no object.
+    """
+    _check_objects(tree, objects)
+    placed: dict[str, SceneObject] = {}
+    for node in tree.top_down():
+        fit = fit_to_box(objects[node.name], node)
+        placed[node.name] = _place(node, tree, placed, *fit.scaled(), (0.0, 0.0, 0.0), [], [])
+    scene = SceneSpec(name="parsed", objects=tuple(placed.values()), camera=tree.camera)
+    snapped = snap(scene, (options or ComposeOptions()).gap_m)
+    items = (
+        parsed if parsed.relation == "in" else item
+        for parsed, item in zip(scene.objects, snapped.objects, strict=True)
+    )
+    return scene.model_copy(update={"objects": tuple(items)})
+
+
+def moved_tree(tree: SceneTree, before: SceneSpec, after: SceneSpec) -> SceneTree:
+    """Return a tree with the camera of a scene, and its boxes moved and scaled as the objects.
+
+    Args:
+        tree: the parse.
+        before: its objects, see `as_parsed`.
+        after: the same objects, moved, turned about the vertical and scaled.
+    """
+    old_poses, new_poses, nodes = world_poses(before), world_poses(after), []
+    for node in tree.nodes:
+        old, new, box = old_poses[node.name], new_poses[node.name], node.box3d
+        sizes = [np.subtract(*bounds(s.object(node.name).spec)) for s in (after, before)]
+        ratio = float(np.linalg.norm(sizes[0]) / np.linalg.norm(sizes[1]))
+        turn = yaw_of(new.quat) - yaw_of(old.quat)
+        offset = rotate(from_yaw(turn), ratio * np.subtract(box.position, old.pos))
+        moved = Box3D(
+            position=tuple((new.pos + offset).tolist()),
+            size=tuple((ratio * np.array(box.size)).tolist()),
+            yaw=math.remainder(box.yaw + turn, 2 * math.pi),
+        )
+        unmoved = node.environment and node.parent is None
+        nodes.append(node if unmoved else node.model_copy(update={"box3d": moved}))
+    return tree.model_copy(update={"camera": after.camera, "nodes": tuple(nodes)})
+
+
+def _check_objects(tree: SceneTree, objects: Mapping[str, ObjectSpec]) -> None:
+    missing = [node.name for node in tree.nodes if node.name not in objects]
+    if missing:
+        raise SpecError(
+            f"no object for node {', '.join(missing)}; the objects are {sorted(objects)}"
+        )
 
 
 def _unmatched_notes(node: TreeNode, fit: BoxFit) -> list[str]:

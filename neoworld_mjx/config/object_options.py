@@ -202,8 +202,8 @@ class ComposeOptions(Options):
 
     refit: bool = option(
         True,
-        "Before composition, fit the camera, positions, sizes and headings to the 2D boxes again, "
-        "with the reconstructed shapes. Requires `parse.fit`.",
+        "Before composition, move the camera and the reconstructed objects to their 2D boxes. "
+        "Requires `parse.fit`.",
         difference=PaperDifference(
             False,
             "Reconstructed shapes fill their boxes differently from the cuboids of the first fit.",

@@ -8,7 +8,7 @@ pose, and its 2D box keeps it in place in the image if the camera moves.
 
 import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -39,7 +39,7 @@ from .further_views import located_views
 from .normal_equations import NormalEquations, Source
 from .rasterize import height_of
 from .standing import Standing
-from .unknowns import CAMERA, FOCAL, Placement, Unknowns
+from .unknowns import CAMERA, FOCAL, ROLL, Placement, Unknowns
 
 SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""
@@ -53,6 +53,8 @@ of the log scale. They were set on the development half of the benchmark scenes.
 bench run coverage` counts the 90 % intervals that contain the true value."""
 
 
+BOXES = AlignmentStage(8, COARSE_PX)
+"""Steps by the 2D boxes alone, from the parsed places."""
 STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
     AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True, depth_reach=0.06),
@@ -97,6 +99,45 @@ def align(
     o = options or AlignOptions()
     known = evidence or Evidence()
     return _aligned(scene, photo, o, STAGES, measured=frozenset(measured), evidence=known)
+
+
+def align_to_boxes(
+    scene: SceneSpec,
+    *,
+    measured: Collection[str] = (),
+    evidence: Evidence | None = None,
+) -> Alignment:
+    """Move the camera and the objects of a composed scene to where their 2D boxes show them.
+
+    A response localizes objects well in the picture and knows their common sizes, but estimates
+    distances less accurately.
+
+    Args:
+        scene: the scene composed at the parsed places.
+        measured: as for `align`.
+        evidence: known camera.
+
+    Returns:
+        The alignment; its scene is unchanged if it has no camera or no free object.
+    """
+    if scene.camera is None:
+        return Alignment(scene)
+    known = Evidence(camera=None if evidence is None else evidence.camera)
+    # Boxes cannot tell a wrong field of view from wrong distances.
+    unknowns = Unknowns.of(scene, scene.camera, held=(ROLL, FOCAL))
+    if not len(unknowns.free):
+        return Alignment(scene)
+    options = AlignOptions(contours=False, contacts=False)
+    problem = AlignmentProblem(
+        unknowns, options, frozenset(measured), None, None, known, misjudged=False, boxes_only=True
+    )
+    try:
+        solution = _solution(problem, None, {COARSE_PX: [None]}, (BOXES,))
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Alignment(scene, failure=_failure(error))
+    fitted = solution.fitted
+    # Deviations by boxes alone are not calibrated.
+    return solution if fitted is None else replace(solution, scene=unknowns.scene_at(fitted.x))
 
 
 def align_again(
@@ -160,6 +201,7 @@ def _aligned(
         only=only,
         rises=rises,
         views=views,
+        held=() if o.camera else tuple(range(CAMERA)),
     )
     unknowns = unknowns_of(scene)
     if not len(unknowns.free):
@@ -177,13 +219,17 @@ def _aligned(
         solution = _solution(problem, photo, images, stages)
         return replace(solution, views=solution.views | refused)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        return Alignment(scene, failure=f"the solver failed: {str(error).splitlines()[0]}")
+        return Alignment(scene, failure=_failure(error))
+
+
+def _failure(error: Exception) -> str:
+    return f"the solver failed: {str(error).splitlines()[0]}"
 
 
 def _solution(
     problem: AlignmentProblem,
-    photo: UInt8[np.ndarray, "row column 3"],
-    images: dict[int, list[LabImage]],
+    photo: UInt8[np.ndarray, "row column 3"] | None,
+    images: Mapping[int, Sequence[LabImage | None]],
     stages: Sequence[AlignmentStage],
 ) -> Alignment:
     unknowns, scene = problem.unknowns, problem.unknowns.scene
@@ -195,24 +241,25 @@ def _solution(
     x, problem = problem.start(), replace(problem, mean=problem.prior_mean())
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
-        if problem.uses_edges:
+        if photo is not None and problem.uses_edges:
             # Only edges that are almost vertical for the current camera count.
             problem = replace(problem, edges=edges_of_photo(unknowns, x, photo))
         for stage in of_width:
             problem = replace(problem, misjudged=misjudged or stage.open_focal)
             for _ in range(stage.steps):
                 equations, _ = problem.linearized(x, images[width], stage, reasons)
-                x = problem.solved(equations)
+                x = equations.solved()
                 if stage.open_focal:
                     deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
                     misjudged = is_misjudged(float(x[FOCAL]), deviation)
     last = stages[-1]
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
-    x = problem.solved(equations)
+    x = equations.solved()
     contradicted: frozenset[int] = frozenset()
     sources: tuple[Source, ...] = ("contour", "depth")
     for source in sources if problem.evidence.depth is not None else sources[:1]:
-        refused = problem.refused(equations, drawn, images[last.width][0].bins, source)
+        image = images[last.width][0]
+        refused = () if image is None else problem.refused(equations, drawn, image.bins, source)
         if not refused:
             continue
         if source == "contour":
@@ -226,7 +273,7 @@ def _solution(
             x[own] = reset[own]
         for _ in range(last.steps):
             equations, drawn = problem.linearized(x, images[last.width], last, reasons)
-            x = problem.solved(equations)
+            x = equations.solved()
     outcomes = problem.depth_outcomes(x, contradicted)
     return _result(problem, x, equations, reasons, outcomes)
 

@@ -114,11 +114,15 @@ class Alignment:
     fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
     """Unknowns and their estimates; None if there were no unknowns or if the solver failed."""
 
-    def notes(self, before: SceneSpec) -> Iterator[tuple[str, str]]:
+    def notes(
+        self, before: SceneSpec, start: str = "composed", cause: str = "the photograph"
+    ) -> Iterator[tuple[str, str]]:
         """Yield a note, as a title and a text, for each large change of the camera or an object.
 
         Args:
-            before: the composed scene.
+            before: the scene before the alignment.
+            start: the poses in it.
+            cause: what changed them.
         """
         camera = before.camera
         turned = max(abs(self.pitch_deg), abs(self.roll_deg), abs(self.fovy_deg))
@@ -127,7 +131,7 @@ class Alignment:
         ):
             yield (
                 "a camera that differs from the response's",
-                f"the photograph's contours turned it by {self.pitch_deg:+.1f} deg in pitch and "
+                f"{cause} turned it by {self.pitch_deg:+.1f} deg in pitch and "
                 f"{self.roll_deg:+.1f} deg in roll, changed its field of view by "
                 f"{self.fovy_deg:+.1f} deg and its height by {100 * self.height_m:+.0f} cm",
             )
@@ -140,8 +144,8 @@ class Alignment:
             ):
                 degrees = round(change.yaw_deg)  # An integer is never written as "-0".
                 yield (
-                    f"{name} far from its composed pose",
-                    f"the photograph moved it by {100 * distance:.1f} cm, scaled it by "
+                    f"{name} far from its {start} pose",
+                    f"{cause} moved it by {100 * distance:.1f} cm, scaled it by "
                     f"{change.size_ratio:.2f} and turned it by {degrees:+d} deg",
                 )
         for name, view in self.views.items():
@@ -253,6 +257,8 @@ def prior_precision(
     now: Placement,
     x: Float[np.ndarray, " u"],
     deviations: Float[np.ndarray, " 4"],
+    *,
+    boxes_only: bool = False,
 ) -> Float[np.ndarray, "v v"]:
     """Return the prior's precision matrix over the unknowns and all stretches.
 
@@ -264,6 +270,8 @@ def prior_precision(
         now: the placement at `x`.
         x: values of the unknowns, relative to the mean of the prior.
         deviations: standard deviations of the camera's unknowns.
+        boxes_only: True if the scene is at the parsed places. An object on a movable support is
+            then as uncertain as any other: its support may be off, too.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
@@ -277,7 +285,8 @@ def prior_precision(
         first = CAMERA + EACH * i
         entries = x[first : first + EACH]
         distance = float(np.linalg.norm(now.pos[k] - eye))
-        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, _room(unknowns, k))
+        room = _room(unknowns, k, boxes_only=boxes_only)
+        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, room)
         whitening = unknowns.view_axes(now, k) / most[:, None]
         yaw = YAW
         if unknowns.in_wall[k].any():
@@ -289,8 +298,10 @@ def prior_precision(
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
         for column, deviation in ((2, yaw), (3, LOG_SIZE)):
-            # A depth image shows how large an object is, so no size is far from its start.
-            tail = min(abs(entries[column]), TAIL_SIZE) if unknowns.rises else entries[column]
+            # A depth image shows how large an object is, and a box or a contour may be that of
+            # its visible part, so no size is far from its start.
+            capped = unknowns.rises or column == 3
+            tail = min(abs(entries[column]), TAIL_SIZE) if capped else entries[column]
             spread = deviation**2 + tail**2 / FREEDOM
             if column == 3 and unknowns.rises and unknowns.scene.objects[k].environment:
                 # The camera's height refers to its top; its outline shows another size.
@@ -310,7 +321,7 @@ def prior_precision(
     return precision
 
 
-def _room(unknowns: Unknowns, k: int) -> float:
+def _room(unknowns: Unknowns, k: int, *, boxes_only: bool) -> float:
     """Return the largest standard deviation [m] of a position that an object's support allows.
 
     For an object in a container, it is half the clearance. For an object on a movable support, it
@@ -323,4 +334,6 @@ def _room(unknowns: Unknowns, k: int) -> float:
     side = float(unknowns.shorter_side[parent])
     if item.relation == "in":
         return max((side - float(unknowns.shorter_side[k])) / 2, LEAST_CLEARANCE_M)
-    return np.inf if unknowns.scene.objects[parent].environment else SUPPORTED * side
+    if boxes_only or unknowns.scene.objects[parent].environment:
+        return np.inf
+    return SUPPORTED * side

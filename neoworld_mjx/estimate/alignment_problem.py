@@ -35,7 +35,7 @@ from .normal_equations import (
 )
 from .rasterize import DrawnObjects
 from .standing import Standing
-from .unknowns import CAMERA, Unknowns
+from .unknowns import Unknowns
 
 CAMERA_NAMES = ("pitch", "roll", "focal", "height")
 """Names of the camera's unknowns, in their order."""
@@ -95,6 +95,8 @@ class AlignmentProblem:
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
     """Indices of the objects whose depth is ignored."""
+    boxes_only: bool = False
+    """True if 2D boxes are the only evidence."""
 
     @property
     def uses_edges(self) -> bool:
@@ -213,7 +215,7 @@ class AlignmentProblem:
     def linearized(
         self,
         x: Float[np.ndarray, " u"],
-        images: Sequence[LabImage],
+        images: Sequence[LabImage | None],
         stage: AlignmentStage,
         silent: Collection[int],
     ) -> tuple[NormalEquations, DrawnObjects]:
@@ -221,7 +223,8 @@ class AlignmentProblem:
 
         Args:
             x: values of the unknowns.
-            images: the photograph at the stage's width, and the further ones.
+            images: the photograph at the stage's width, and the further ones; None if only boxes
+                are used.
             stage: settings of the Gauss-Newton steps.
             silent: indices of the objects whose contours are ignored.
         """
@@ -234,7 +237,9 @@ class AlignmentProblem:
         mean = np.zeros_like(x) if self.mean is None else self.mean
         equations = NormalEquations(
             unknowns,
-            prior_precision(unknowns, now, x - mean, self.camera_deviations()),
+            prior_precision(
+                unknowns, now, x - mean, self.camera_deviations(), boxes_only=self.boxes_only
+            ),
             x,
             mean=mean,
             global_count=0 if depth is None else depth.global_count,
@@ -265,10 +270,12 @@ class AlignmentProblem:
             for (here, near), seen, boxes, image in zip(
                 places, rendered, all_boxes, images, strict=True
             ):
-                box = box_evidence(unknowns, here, near, seen, k, boxes.get(name))
+                box = box_evidence(
+                    unknowns, here, near, seen, k, boxes.get(name), soft=stage.reach == 0
+                )
                 if box is not None:
                     equations.add_box(k, box)
-                if stage.reach == 0 or k in silent:
+                if image is None or stage.reach == 0 or k in silent:
                     continue
                 contour = contour_evidence(
                     unknowns,
@@ -297,19 +304,10 @@ class AlignmentProblem:
 
     def camera_deviations(self) -> Float[np.ndarray, " 4"]:
         """Return the prior standard deviations of the camera's unknowns."""
-        if not self.options.camera:
-            return np.full(CAMERA, 1e-9)
         known = {} if self.plane is None else PLANE_DEVIATIONS
         if self.evidence.camera is not None:
             known = known | self.evidence.camera.deviations()
         return camera_deviations(self.measured_camera, known, misjudged=self.misjudged)
-
-    def solved(self, equations: NormalEquations) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns; those of the camera are 0 if it is not estimated."""
-        x = equations.solved()
-        if not self.options.camera:
-            x[:CAMERA] = 0.0
-        return x
 
     def refused(
         self,

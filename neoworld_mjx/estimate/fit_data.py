@@ -4,23 +4,19 @@ Sides of 2D boxes that show an object's outline, uncut by occluders and the pict
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..measure import SidesShown
 from ..spec import Box3D, Camera, Quat, SceneTree, TreeNode
 from .priors import camera_sd, position_whitening, side_sd, size_sd, wall_normal, yaw_sd
 from .projection import (
     CutSurfaces,
     Silhouette,
-    Wireframe,
     outline_points,
-    repeated_surfaces,
     stacked,
     to_world,
 )
@@ -38,9 +34,7 @@ CUT_OFF = 0.02
 picture's longer side."""
 
 
-def hidden_sides(
-    tree: SceneTree, node: TreeNode, shown: SidesShown | None = None
-) -> Bool[np.ndarray, "4"]:
+def hidden_sides(tree: SceneTree, node: TreeNode) -> Bool[np.ndarray, "4"]:
     """Return a mask of the sides of a 2D box (left, top, right, bottom) that may be hidden.
 
     A side counts as hidden in each of these cases:
@@ -58,9 +52,6 @@ def hidden_sides(
     Args:
         tree: the parsed scene, or a fit of it.
         node: the object whose sides are tested.
-        shown: visible sides of the built shapes at the parsed positions. For each side whose
-            extreme point lies in the picture, they replace the boxes in the test for occlusion.
-            Sides whose extreme points lie outside the picture are not hidden for that reason alone.
     """
     camera = tree.camera
     edge = EDGE * max(camera.width, camera.height_px)
@@ -68,13 +59,10 @@ def hidden_sides(
     frame = np.array([0.0, 0.0, camera.width, camera.height_px])
     outward = np.array([-1.0, -1.0, 1.0, 1.0])
     at_border = outward * (frame - box) <= edge
-    hidden = at_border.copy() if shown else at_border | _cut_points(tree, node, at_border)
+    hidden = at_border | _cut_points(tree, node, at_border)
     if node.cues.cut_sides is not None:
         # The border may cut a side even if the response does not list it.
         return hidden | np.array([side in node.cues.cut_sides for side in SIDES])
-    if shown is not None:
-        covered = hidden | _covered_sides(tree, node, box, edge)
-        return at_border | np.where(shown.inside, ~shown.object_ends, covered)
     if node.occluded and not _occluders(node) and not at_border.any():
         return np.ones(4, bool)
     return hidden | _covered_sides(tree, node, box, edge)
@@ -167,8 +155,7 @@ class FitData:
 
     The first two unknowns are the camera's pitch [rad] and log height, each divided by its prior
     standard deviation. For each object, seven unknowns follow: x, y, z [m], log length, log width,
-    log height, and yaw [rad]. A rigid object keeps its proportions: its log length is its log
-    scale, and its log width and log height stay 0.
+    log height, and yaw [rad].
     """
 
     tree: SceneTree
@@ -177,12 +164,10 @@ class FitData:
     """Index of each object's parent among the objects; -1 if the parent is in the environment."""
     levels: Int[np.ndarray, " n"]
     """Number of ancestors of each object among the objects."""
-    rigid: Bool[np.ndarray, " n"]
-    """True for objects with a built shape."""
     round: Bool[np.ndarray, " n"]
     """True for objects whose outlines do not depend on the heading."""
     sizes: Float[np.ndarray, "n 3"]
-    """Size [m] of the outlines' unit boxes; 1 for built shapes, which are in meters."""
+    """Size [m] of the outlines' unit boxes."""
     values: Float[np.ndarray, "n 7"]
     """Values of the objects' unknowns in the tree."""
     tilts: Float[np.ndarray, "n 4"]
@@ -211,18 +196,9 @@ class FitData:
     """Smallest outlines of the objects that the picture's border may cut, then their largest
     outlines; a largest outline that equals the smallest one is omitted."""
 
-    @cached_property
-    def heights(self) -> Float[np.ndarray, " n"]:
-        """Heights [m] of the objects' boxes in the tree."""
-        return np.array([node.box3d.size[2] for node in self.objects])
-
     def initial_unknowns(self) -> Float[np.ndarray, " u"]:
         """Return the values of the unknowns in the tree."""
         return np.concatenate([np.zeros(CAMERA), self.values.ravel()])
-
-    def log_sizes(self, values: Float[np.ndarray, "k 7"], rows: Any) -> Float[np.ndarray, "k 3"]:
-        """Return the log ratios of edge lengths to initial edge lengths, for the objects `rows`."""
-        return np.where(self.rigid[rows][:, None], values[:, 3:4], values[:, 3:6])
 
     def unpack(self, x: Float[np.ndarray, " u"]) -> tuple[Camera, Float[np.ndarray, "n 7"]]:
         """Return the camera and the objects' unknowns.
@@ -244,30 +220,10 @@ class FitData:
         values[:, :3] -= normal_shift * self.normals
         return fitted_camera, values
 
-    def repeated(self, count: int) -> "FitData":
-        """Return `count` copies of all objects with one camera; each copy has its own parents."""
-        n = len(self.objects)
-        arrays = {
-            field.name: np.concatenate([value] * count)
-            for field in fields(self)
-            if isinstance(value := getattr(self, field.name), np.ndarray)
-            and field.name != "camera_sd"
-        }
-        shift = np.arange(count).repeat(n) * n
-        arrays["parents"] = np.where(arrays["parents"] >= 0, arrays["parents"] + shift, -1)
-        return replace(
-            self,
-            objects=self.objects * count,
-            cut=tuple(repeated_surfaces(surfaces, count, n) for surfaces in self.cut),
-            **arrays,
-        )
-
 
 def object_data(
     tree: SceneTree,
     objects: Sequence[TreeNode],
-    shapes: Mapping[str, Wireframe],
-    shown: Mapping[str, SidesShown],
     silhouettes: Sequence[Silhouette],
 ) -> FitData:
     """Collect the data of objects, which are ordered parents first; see `fit_problem`."""
@@ -276,7 +232,6 @@ def object_data(
     levels = np.zeros(len(objects), int)
     for i, parent in enumerate(parents):
         levels[i] = levels[parent] + 1 if parent >= 0 else 0
-    rigid = np.array([name in shapes for name in names])
     positions = np.array([node.box3d.position for node in objects])
     yaws = np.array([node.box3d.yaw for node in objects])
     scale_sds, edge_sds = zip(*(size_sd(node) for node in objects), strict=True)
@@ -286,9 +241,8 @@ def object_data(
         objects=tuple(objects),
         parents=np.array(parents),
         levels=levels,
-        rigid=rigid,
-        round=~rigid & np.array([silhouette.round for silhouette in silhouettes]),
-        sizes=np.where(rigid[:, None], 1.0, np.array([node.box3d.size for node in objects])),
+        round=np.array([silhouette.round for silhouette in silhouettes]),
+        sizes=np.array([node.box3d.size for node in objects]),
         values=np.column_stack([positions, np.zeros((len(objects), 3)), yaws]),
         tilts=np.array([node.base_tilt for node in objects]),
         boxes=np.array([node.box2d.as_tuple() for node in objects]),
@@ -296,7 +250,7 @@ def object_data(
         inner=stacked([silhouette.inner for silhouette in silhouettes]),
         outer=stacked([silhouette.outer for silhouette in silhouettes]),
         lowest=stacked([silhouette.lowest for silhouette in silhouettes]),
-        hidden=np.array([hidden_sides(tree, node, shown.get(node.name)) for node in objects]),
+        hidden=np.array([hidden_sides(tree, node) for node in objects]),
         normals=np.array([wall_normal(tree, node) for node in objects]),
         camera_sd=camera_sd(tree),
         side_sd=np.array([side_sd(tree.camera, node) for node in objects]),

@@ -3,16 +3,13 @@
 Residuals of projected outlines: distances [px] from the 2D boxes and contacts.
 """
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..measure import SidesShown
 from ..spec import Box3D, Camera, SceneTree, TreeNode
 from ..spec.pose import rotate
 from .fit_data import CAMERA, EDGE, FitData, object_data
@@ -21,10 +18,8 @@ from .projection import (
     NEAR_M,
     CutSurfaces,
     Silhouette,
-    Wireframe,
     extents_in_picture,
     hull_wireframe,
-    near_border,
     silhouette_of,
     stack_surfaces,
 )
@@ -51,17 +46,15 @@ def outline_residuals(data: FitData, x: Float[np.ndarray, " u"]) -> Float[np.nda
         view, height = to_camera_frame(data, camera, values, points, rows)
         pixels = _projected(camera, view)
         boxes = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
-        if k == 1 and data.cut:
-            rows_alike = np.setdiff1d(data.cut[0].rows, data.cut[1].rows)
-            boxes[rows_alike] = _OUTWARD * extents[0][rows_alike]
-        if data.cut and len(cut := data.cut[k].rows):
+        if data.cut:
+            cut = data.cut[k].rows
             points = data.cut[k].points
             view, _ = to_camera_frame(data, camera, values, points, cut)
             within = extents_in_picture(camera, view, data.cut[k].edges, data.cut[k].owners)
             size = np.tile([camera.width, camera.height_px], 2)
             boxes[cut] = np.where(np.isnan(within), np.clip(boxes[cut], 0, size), within)
         extents.append(_OUTWARD * boxes)
-        above_foot = (height > FOOT_HEIGHT * data.heights[:, None] + 1e-4)[..., None]
+        above_foot = (height > FOOT_HEIGHT * data.sizes[:, 2:] + 1e-4)[..., None]
         low = np.where(above_foot, np.inf, pixels).min(axis=1)
         high = np.where(above_foot, -np.inf, pixels).max(axis=1)
         feet.append((low[:, 0], high[:, 0], high[:, 1]))
@@ -99,8 +92,7 @@ def to_camera_frame(
 ) -> tuple[Float[np.ndarray, "k m 3"], Float[np.ndarray, "k m"]]:
     """Return points of the objects `rows` in the camera frame, and heights above the lowest [m]."""
     values, tilts = values[rows], data.tilts[rows][:, None]
-    log_sizes = data.log_sizes(values, rows)
-    sizes = (data.sizes[rows] * np.exp(np.clip(log_sizes, -3, 3)))[:, None]
+    sizes = (data.sizes[rows] * np.exp(np.clip(values[:, 3:6], -3, 3)))[:, None]
     local = rotate(tilts, points * sizes)
     low = rotate(tilts, data.lowest[rows] * sizes)[..., 2].min(axis=1)
     height = local[..., 2] - low[:, None]
@@ -112,23 +104,15 @@ def to_camera_frame(
     return (world + values[:, None, :3] - camera.position()) @ camera.axes(), height
 
 
-def cut_surfaces(
-    data: FitData, shapes: Mapping[str, Wireframe], silhouettes: Sequence[Silhouette]
-) -> tuple[CutSurfaces, ...]:
+def cut_surfaces(data: FitData, silhouettes: Sequence[Silhouette]) -> tuple[CutSurfaces, ...]:
     """Return the surfaces of the first objects that the picture's border may cut; see `FitData`.
 
     At most MAX_CUT objects are included. For the others, sides at the border are ignored.
     """
-    rows = itertools.islice((i for i in range(len(data.objects)) if _may_be_cut(data, i)), MAX_CUT)
-    smallest: dict[int, Wireframe] = {}
-    largest: dict[int, Wireframe] = {}
-    for i in rows:
-        if shape := shapes.get(data.objects[i].name):
-            smallest[i] = _trimmed(data, i, shape)
-        else:
-            smallest[i] = hull_wireframe(silhouettes[i].inner)
-            largest[i] = hull_wireframe(silhouettes[i].outer)
-    return (stack_surfaces(smallest), stack_surfaces(largest)) if smallest else ()
+    rows = [i for i in range(len(data.objects)) if _may_be_cut(data, i)][:MAX_CUT]
+    inner = {i: hull_wireframe(silhouettes[i].inner) for i in rows}
+    outer = {i: hull_wireframe(silhouettes[i].outer) for i in rows}
+    return (stack_surfaces(inner), stack_surfaces(outer)) if rows else ()
 
 
 def _may_be_cut(data: FitData, index: int) -> bool:
@@ -141,15 +125,6 @@ def _may_be_cut(data: FitData, index: int) -> bool:
         pixels.append(_projected(camera, view).reshape(-1, 2))
     ends, edge = np.concatenate(pixels), EDGE * size.max()
     return bool((ends <= edge).any() or (ends >= size - edge).any())
-
-
-def _trimmed(data: FitData, index: int, frame: Wireframe) -> Wireframe:
-    """Return the wireframe of a cut object, without edges that cannot determine its visible box."""
-    camera, rows = data.tree.camera, np.array([index])
-    view, _ = to_camera_frame(data, camera, data.values, frame.points[None], rows)
-    edges = near_border(camera, view[0], frame.edges)
-    used, renumbered = np.unique(edges, return_inverse=True)
-    return Wireframe(frame.hull, frame.points[used], renumbered.reshape(-1, 2))
 
 
 def _projected(camera: Camera, view: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
@@ -169,9 +144,6 @@ STEP = 1e-7
 """Step of finite differences, in the unit of each unknown."""
 DEAD_ZONE = 1.0
 """Largest residual of a side that has no effect, in standard deviations."""
-HIDDEN_RESIDUAL = 5.0
-"""For a partly hidden object, distance by which a side of the 2D box must lie inside the projected
-outline to count as hidden, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +165,6 @@ class FitProblem:
         """
         data = self.data
         free = np.ones((len(data.objects), 7), bool)
-        free[data.rigid, 4:6] = False
         free[data.round | data.normals.any(axis=1), 6] = False
         free[fixed] = False
         return np.flatnonzero(np.concatenate([np.full(CAMERA, camera), free.ravel()]))
@@ -215,7 +186,7 @@ class FitProblem:
         pixels = outline_residuals(data, x)
         sd = np.concatenate([data.side_sd, data.side_sd[:, [0, 1]]], axis=1)
         picture = np.sign(pixels) * np.maximum(np.abs(pixels) / sd - DEAD_ZONE, 0.0)
-        log_sizes = data.log_sizes(values, slice(None))
+        log_sizes = values[:, 3:6]
         scale = log_sizes.mean(axis=1, keepdims=True)
         return np.concatenate(
             [
@@ -238,7 +209,7 @@ class FitProblem:
 
         An object's residuals depend only on the unknowns of the object, of its parent and of the
         camera. One finite difference can therefore perturb all objects whose depths in the tree
-        have the same parity. All differences are evaluated together, on copies of the objects.
+        have the same parity.
         """
         residuals = self.residuals(x)
         jacobian = np.zeros((len(residuals), len(x)))
@@ -248,38 +219,17 @@ class FitProblem:
             jacobian[:, k] = (self.residuals(perturbed) - residuals) / STEP
         owners = self._owners()
         parents = np.where(owners >= 0, self.data.parents[owners], -1)
-        groups = [self.data.levels % 2 == parity for parity in (0, 1)]
-        copies = np.tile(x[CAMERA:].reshape(-1, 7), (2, 7, 1, 1))
-        for parity, group in enumerate(groups):
+        for parity in (0, 1):
+            group = self.data.levels % 2 == parity
+            moved = np.where((parents >= 0) & group[parents], parents, -1)
+            moved = np.where((owners >= 0) & group[owners], owners, moved)
+            rows = np.flatnonzero(moved >= 0)
             for k in range(7):
-                copies[parity, k, group, k] += STEP
-        problem, rows_of_copies = self._repeated
-        perturbed = problem.residuals(np.concatenate([x[:CAMERA], copies.ravel()]))[rows_of_copies]
-        changes = ((perturbed - residuals) / STEP).reshape(2, 7, -1)
-        for group, change in zip(groups, changes, strict=True):
-            perturbed_objects = np.where(
-                (owners >= 0) & group[owners],
-                owners,
-                np.where((parents >= 0) & group[parents], parents, -1),
-            )
-            rows = np.flatnonzero(perturbed_objects >= 0)
-            for k in range(7):
-                jacobian[rows, CAMERA + 7 * perturbed_objects[rows] + k] = change[k, rows]
+                perturbed = x.copy()
+                perturbed[CAMERA + 7 * np.flatnonzero(group) + k] += STEP
+                change = (self.residuals(perturbed) - residuals) / STEP
+                jacobian[rows, CAMERA + 7 * moved[rows] + k] = change[rows]
         return jacobian
-
-    @cached_property
-    def _repeated(self) -> "tuple[FitProblem, Int[np.ndarray, '14 r']]":
-        """Return a problem with a copy of all objects per difference, and the rows of each copy."""
-        count, n = 14, len(self.data.objects)
-        problem = FitProblem(
-            self.data.repeated(count),
-            np.tile(self.follow, (count, 1)),
-            np.tile(self.offsets, (count, 1)),
-        )
-        owners = problem._owners()
-        return problem, np.array(
-            [np.flatnonzero((owners < 0) | (owners // n == copy)) for copy in range(count)]
-        )
 
     def _owners(self) -> Int[np.ndarray, " r"]:
         """Return the object index of each row of `residuals`; -1 for rows of the camera."""
@@ -296,12 +246,11 @@ class FitProblem:
         """
         data = self.data
         camera, values = data.unpack(x)
-        log_sizes = data.log_sizes(values, slice(None))
         boxes = {}
         for i, node in enumerate(data.objects):
             if fixed[i] or np.allclose(values[i], data.values[i], rtol=0, atol=1e-6):
                 continue
-            size = np.array(node.box3d.size) * np.exp(log_sizes[i])
+            size = np.array(node.box3d.size) * np.exp(values[i, 3:6])
             boxes[node.name] = Box3D(
                 position=tuple(np.round(values[i, :3], 5).tolist()),
                 size=tuple(np.maximum(np.round(size, 5), 1e-5).tolist()),
@@ -322,46 +271,21 @@ class FitProblem:
         )
 
 
-def outline_data(
-    tree: SceneTree,
-    objects: Sequence[TreeNode],
-    shapes: Mapping[str, Wireframe],
-    shown: Mapping[str, SidesShown],
-) -> FitData:
-    """Return the data of objects with their outlines; see `fit_problem`."""
-    silhouettes = [
-        Silhouette(shapes[node.name].hull, shapes[node.name].hull, shapes[node.name].hull)
-        if node.name in shapes
-        else silhouette_of(node)
-        for node in objects
-    ]
-    data = object_data(tree, objects, shapes, shown, silhouettes)
-    return replace(data, cut=cut_surfaces(data, shapes, silhouettes))
+def outline_data(tree: SceneTree, objects: Sequence[TreeNode]) -> FitData:
+    """Return the data of objects, parents first, with the outlines of their categories."""
+    silhouettes = [silhouette_of(node) for node in objects]
+    data = object_data(tree, objects, silhouettes)
+    return replace(data, cut=cut_surfaces(data, silhouettes))
 
 
-def fit_problem(
-    tree: SceneTree,
-    objects: Sequence[TreeNode],
-    shapes: Mapping[str, Wireframe] | None = None,
-    shown: Mapping[str, SidesShown] | None = None,
-) -> FitProblem:
+def fit_problem(tree: SceneTree, objects: Sequence[TreeNode]) -> FitProblem:
     """Set up the fit of some objects of a tree.
 
     Args:
         tree: the parsed scene.
         objects: the nodes to fit, parents first.
-        shapes: built surfaces [m] by name, untilted, in the frame of `Box3D` with the origin at the
-            position of the box. Objects without a built surface have the outline of their category.
-        shown: visible sides of the built shapes, see `hidden_sides`.
     """
-    shapes, shown = shapes or {}, shown or {}
-    data = outline_data(tree, objects, shapes, shown)
-    # A side far within the outline is hidden, even if it is visible at the parsed position.
-    far_inside = (
-        outline_residuals(data, data.initial_unknowns())[:, :4] < -HIDDEN_RESIDUAL * data.side_sd
-    )
-    may_hide = np.array([node.occluded and node.name in shown for node in objects])
-    data = replace(data, hidden=data.hidden | (far_inside & may_hide[:, None]))
+    data = outline_data(tree, objects)
     # The picture determines the position of a visible object. A hidden object and the content of a
     # container follow their parents.
     inside = np.array([node.relation == "in" for node in objects])
@@ -384,9 +308,9 @@ def _anchors(
     `follow`. For an object on the environment, it is the world's origin.
     """
     parents = data.parents
-    height_scale = np.exp(values[parents, np.where(data.rigid[parents], 3, 5)])
+    height_scale = np.exp(values[parents, 5])
     top = values[parents, :3].copy()
-    top[:, 2] += height_scale * data.heights[parents]
+    top[:, 2] += height_scale * data.sizes[parents, 2]
     return np.where(parents[:, None] >= 0, follow * top, 0.0)
 
 

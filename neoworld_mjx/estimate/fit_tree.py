@@ -13,8 +13,6 @@ heading) only as far as the picture requires:
 - An object whose fit is refused keeps its parsed box and does not affect the others; so does an
   object that the user placed.
 - Supports of the environment do not move.
-
-After Step 2, built shapes replace the outlines of categories, see `refit`.
 """
 
 import math
@@ -28,12 +26,10 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 
 from ..evidence.known_camera import KnownCamera
-from ..measure import SidesShown, iou_2d
 from ..spec import Box3D, SceneTree, TreeNode
 from .fit_data import CAMERA
-from .fit_problem import FitProblem, fit_problem, nearest_boxes, outline_residuals
+from .fit_problem import FitProblem, fit_problem, outline_residuals
 from .priors import is_slab
-from .projection import Wireframe
 from .tree_checks import agreement, check_objects
 
 NOTED_M, NOTED_SIZE = 0.10, 0.05
@@ -67,8 +63,7 @@ class FitReport:
     """True if anything moved."""
     reason: str
     agreement_before: float
-    """Mean agreement of the 2D boxes with the projected outlines of categories or built shapes,
-    from 0 to 1."""
+    """Mean agreement of the 2D boxes with the projected outlines of categories, from 0 to 1."""
     agreement_after: float
     pitch_deg: float = 0.0
     """Change of the camera's pitch [deg]."""
@@ -133,18 +128,11 @@ MAX_EXACT_OBJECTS = 12
 1e-8, those of lsmr only to 1e-6."""
 
 
-def fit_tree(
-    tree: SceneTree,
-    shapes: Mapping[str, Wireframe] | None = None,
-    shown: Mapping[str, SidesShown] | None = None,
-    known: KnownCamera | None = None,
-) -> tuple[SceneTree, FitReport]:
+def fit_tree(tree: SceneTree, known: KnownCamera | None = None) -> tuple[SceneTree, FitReport]:
     """Fit camera and 3D boxes to the 2D boxes.
 
     Args:
         tree: the parsed scene, or an earlier fit.
-        shapes: built surfaces that replace the outlines of categories, see `fit_problem`.
-        shown: visible sides of the built shapes at the parsed positions, see `hidden_sides`.
         known: known parameters of the camera, which the tree has.
 
     Returns:
@@ -153,7 +141,7 @@ def fit_tree(
     objects = [node for node in tree.top_down() if not node.environment]
     if not objects:
         return tree, FitReport(False, "there is no object to fit", 0.0, 0.0)
-    problem = fit_problem(tree, objects, shapes, shown)
+    problem = fit_problem(tree, objects)
     if known is not None:
         deviations = known.deviations()
         pairs = zip(("pitch", "height"), problem.data.camera_sd.tolist(), strict=True)
@@ -175,7 +163,7 @@ def fit_tree(
     except (ValueError, np.linalg.LinAlgError) as error:
         mean = float(np.mean([agreement(tree, node) for node in objects]))
         return tree, FitReport(False, f"the solver failed: {error}", mean, mean)
-    return _outcome(problem, x, fixed, refused, shapes or {})
+    return _outcome(problem, x, fixed, refused)
 
 
 def _solve_with_camera(
@@ -274,7 +262,7 @@ def _prior_deviations(problem: FitProblem, x: Float[np.ndarray, " u"]) -> Float[
     """
     data, values = problem.data, x[CAMERA:].reshape(-1, 7)
     position = np.abs(problem.position_deviations(values)[:, :2]).max(axis=1)
-    log_scale = np.where(data.rigid, values[:, 3], values[:, 3:6].mean(axis=1))
+    log_scale = values[:, 3:6].mean(axis=1)
     return np.maximum(position, np.abs(log_scale) / data.scale_sd)
 
 
@@ -291,7 +279,6 @@ def _outcome(
     x: Float[np.ndarray, " u"],
     fixed: Bool[np.ndarray, " n"],
     refused: dict[str, str],
-    shapes: Mapping[str, Wireframe],
 ) -> tuple[SceneTree, FitReport]:
     """Return the fitted tree and the report.
 
@@ -299,15 +286,10 @@ def _outcome(
     """
     data = problem.data
     initial, fitted = data.tree, problem.tree(x, fixed)
-    # The 3D box of a built object extends beyond its shape, so a good fit may lower its agreement.
-    nearest = [nearest_boxes(data, unknowns) for unknowns in (data.initial_unknowns(), x)]
-    changes = {}
-    for i, node in enumerate(data.objects):
-        change = _change(initial, fitted, node, data.hidden[i], refused.get(node.name, ""))
-        if node.name in shapes:
-            before, after = (iou_2d(boxes[i], node.box2d) for boxes in nearest)
-            change = replace(change, agreement_before=before, agreement_after=after)
-        changes[node.name] = change
+    changes = {
+        node.name: _change(initial, fitted, node, data.hidden[i], refused.get(node.name, ""))
+        for i, node in enumerate(data.objects)
+    }
     before, after = np.mean(
         [(change.agreement_before, change.agreement_after) for change in changes.values()], axis=0
     )

@@ -222,10 +222,13 @@ def box_evidence(
     drawn: DrawnObjects,
     k: int,
     given: Box2D | None,
+    *,
+    soft: bool = False,
 ) -> LinearEvidence | None:
     """Return the evidence of an object's 2D box, or None if no side of the box is used.
 
-    A side is used if the object itself ends there, rather than an occluder or the image.
+    A side is used if the object itself ends there, rather than an occluder or the image. Another
+    side is used as an inequality: the object reaches at least as far as its box.
 
     Args:
         unknowns: the unknowns.
@@ -234,9 +237,11 @@ def box_evidence(
         drawn: the objects rendered in the placement.
         k: index of the object.
         given: the box, in pixels of the photograph.
+        soft: if True, a far side keeps its pull (soft L1): the object is where the response has
+            it, and no contour has moved it. Otherwise, a far side is an outlier (Cauchy).
     """
     shown = drawn.owner == k
-    if given is None or not shown.any():
+    if given is None:
         return None
     width = shown.shape[1]
     unit = width / REFERENCE_PX
@@ -245,15 +250,19 @@ def box_evidence(
     if depth.min() <= 0:
         return None
     box = np.array(given.as_tuple()) * width / now.camera.width
-    rows, columns = window_of(shown)
-    visible = columns.start, rows.start, columns.stop, rows.stop
+    visible = np.full(4, np.inf)
+    if shown.any():
+        rows, columns = window_of(shown)
+        visible = np.array([columns.start, rows.start, columns.stop, rows.stop])
     limit = np.array([shown.shape[1], shown.shape[0]])
     ends, normals, residuals, deviations = [], [], [], []
     for side in range(4):
         axis = side % 2
         end = int(np.argmin(pixels[:, axis]) if side < 2 else np.argmax(pixels[:, axis]))
         cut = not BOX_PX * unit < box[side] < limit[axis] - BOX_PX * unit
-        if cut or abs(pixels[end, axis] - visible[side]) > END_PX:
+        hidden = cut or abs(pixels[end, axis] - visible[side]) > END_PX
+        reached = pixels[end, axis] <= box[side] if side < 2 else pixels[end, axis] >= box[side]
+        if hidden and reached:
             continue
         length = (box[2 + axis] - box[axis]) / unit
         ends.append(end)
@@ -263,7 +272,8 @@ def box_evidence(
     if not ends:
         return None
     residual, deviation = np.array(residuals), np.array(deviations)
-    robust = 1 / (1 + (residual / (BOX_OUTLYING * deviation)) ** 2)
+    off = residual / deviation
+    robust = 1 / np.sqrt(1 + off**2) if soft else 1 / (1 + (off / BOX_OUTLYING) ** 2)
     jacobian = image_jacobian(unknowns, now, neighbors, k, points[ends], np.array(normals), width)
     return LinearEvidence(jacobian / unit, residual, robust / deviation**2)
 

@@ -251,16 +251,9 @@ def _clip(
     return np.array(clipped).reshape(-1, 3)
 
 
-MARGIN = 0.15
-"""Maximum motion in the picture that `near_border` allows for, relative to the picture's longer
-side."""
-
-
 class Wireframe(NamedTuple):
     """Points of a surface, and the edges between them."""
 
-    hull: Float[np.ndarray, "_ 3"]
-    """Corners of the convex hull."""
     points: Float[np.ndarray, "n 3"]
     edges: Int[np.ndarray, "e 2"]
     """Indices of the two points of each edge."""
@@ -271,14 +264,10 @@ def hull_wireframe(points: Float[np.ndarray, "_ 3"]) -> Wireframe:
     try:
         hull = ConvexHull(points)
     except QhullError:
-        return Wireframe(points, points, np.column_stack(np.triu_indices(len(points), 1)))
-    return Wireframe(points[hull.vertices], points, edges_of(hull.simplices))
-
-
-def edges_of(triangles: Int[np.ndarray, "t 3"]) -> Int[np.ndarray, "e 2"]:
-    """Return the edges of triangles; each edge occurs once."""
+        return Wireframe(points, np.column_stack(np.triu_indices(len(points), 1)))
+    triangles = hull.simplices
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    return np.unique(np.sort(pairs, axis=1), axis=0)
+    return Wireframe(points, np.unique(np.sort(pairs, axis=1), axis=0))
 
 
 class CutSurfaces(NamedTuple):
@@ -302,18 +291,6 @@ def stack_surfaces(frames: Mapping[int, Wireframe]) -> CutSurfaces:
         points,
         np.concatenate([np.zeros((0, 2), int), *edges]),
         np.arange(len(frames)).repeat([len(e) for e in edges]),
-    )
-
-
-def repeated_surfaces(surfaces: CutSurfaces, count: int, objects: int) -> CutSurfaces:
-    """Return `count` copies of surfaces; copy k belongs to objects shifted by k * `objects`."""
-    copies = np.arange(count)
-    number, corners = surfaces.points.shape[:2]
-    return CutSurfaces(
-        (copies[:, None] * objects + surfaces.rows).ravel(),
-        np.concatenate([surfaces.points] * count),
-        (copies[:, None, None] * number * corners + surfaces.edges).reshape(-1, 2),
-        (copies[:, None] * number + surfaces.owners).ravel(),
     )
 
 
@@ -397,37 +374,6 @@ def _covered_corners(
         rows = slice(*np.searchsorted(owners, [surface, surface + 1]))
         if _surrounds(pixels[rows].reshape(-1, 2), corners[corner]):
             yield int(surface), corners[corner]
-
-
-def near_border(
-    camera: Camera, view: Float[np.ndarray, "n 3"], edges: Int[np.ndarray, "e 2"]
-) -> Int[np.ndarray, "k 2"]:
-    """Return the edges that can determine a surface's box in the picture after small motions.
-
-    These are the edges that may intersect the border, and the edges at the extreme points within
-    the picture. A tube has thousands of other edges.
-
-    Args:
-        camera: the camera.
-        view: the surface's points in the camera frame (right, down, forward) [m].
-        edges: indices of the two points of each edge.
-    """
-    size = np.array([camera.width, camera.height_px], float)
-    margin = MARGIN * size.max()
-    pixels = view[:, :2] / np.maximum(view[:, 2:], NEAR_M) * camera.focal + camera.center
-    inner = ((pixels > margin) & (pixels < size - margin)).all(axis=1) & (view[:, 2] > NEAR_M)
-    extreme = np.zeros(len(pixels), bool)
-    if inner.sum() > 3:
-        try:
-            extreme[np.flatnonzero(inner)[ConvexHull(pixels[inner]).vertices]] = True
-        except QhullError:  # The points are collinear.
-            extreme |= inner
-    ends = pixels[edges]
-    outside = ((ends < -margin).all(axis=1) | (ends > size + margin).all(axis=1)).any(axis=1)
-    outside &= (view[edges][..., 2] > NEAR_M).all(axis=1)
-    within = inner[edges].all(axis=1) & ~extreme[edges].any(axis=1)
-    remaining = edges[~outside & ~within]
-    return remaining if len(remaining) else edges
 
 
 def _surrounds(points: Float[np.ndarray, "n 2"], spot: Float[np.ndarray, "2"]) -> bool:

@@ -113,7 +113,7 @@ def nearest_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] |
     """
     if expected_box(tree.camera, node) is None:
         return None
-    data = outline_data(tree, [node], {}, {})
+    data = outline_data(tree, [node])
     return nearest_boxes(data, data.initial_unknowns())[0]
 
 

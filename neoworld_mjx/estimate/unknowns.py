@@ -101,11 +101,13 @@ class Unknowns:
     """True if the heights of free objects above their supports are unknowns."""
     views: tuple[ViewCamera, ...] = ()
     """Cameras of further photographs."""
+    held: tuple[int, ...] = ()
+    """Indices of the camera's unknowns that are not estimated."""
 
     @cached_property
     def known(self) -> tuple[int, ...]:
-        """Indices of the unknowns whose value is known to be 0; see `SceneObject.known`."""
-        found = list[int]()
+        """Indices of the unknowns whose value is 0: held ones, and those of `SceneObject.known`."""
+        found = list(self.held)
         for k in self.free.tolist():
             known = self.scene.objects[k].known
             pose = [*range(self.size)[self.columns(k)], *self.rise_columns(k)]
@@ -121,6 +123,7 @@ class Unknowns:
         only: Collection[str] | None = None,
         rises: bool = False,
         views: tuple[ViewCamera, ...] = (),
+        held: tuple[int, ...] = (),
     ) -> "Unknowns":
         """Return the unknowns of a composed scene.
 
@@ -130,6 +133,7 @@ class Unknowns:
             only: names of the objects that may move; if None, all objects with a parent may.
             rises: if True, heights above supports are unknowns.
             views: cameras of further photographs.
+            held: indices of the camera's unknowns that are not estimated.
         """
         free = [
             k
@@ -151,6 +155,7 @@ class Unknowns:
             float(np.median(depth[depth > 0])) if (depth > 0).any() else 1.0,
             rises,
             views,
+            held,
         )
 
     @property

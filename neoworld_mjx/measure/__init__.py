@@ -2,11 +2,9 @@
 
 from .boxes import (
     Move,
-    SidesShown,
     box_iou,
     iou_2d,
     object_moves,
-    shown_sides,
     visible_box_iou,
 )
 from .scene_check import (
@@ -29,7 +27,6 @@ __all__ = [
     "Move",
     "SceneCheck",
     "SceneMeasure",
-    "SidesShown",
     "UnstableObject",
     "box_iou",
     "iou_2d",
@@ -40,7 +37,6 @@ __all__ = [
     "resting",
     "scene_checks",
     "scene_measure",
-    "shown_sides",
     "unstable_objects",
     "visible_box_iou",
     "with_displacement",

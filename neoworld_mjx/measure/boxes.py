@@ -7,19 +7,14 @@ are compared with the parsed boxes of the photograph.
 import itertools
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 from numpy.typing import NDArray
 
 from ..spec import Box2D, Box3D, SceneSpec, TreeNode, bounds, world_poses
 from ..spec.pose import ArrayLike, angle_between, yaw_of
 from ..spec.triangles import polygon_area
-
-if TYPE_CHECKING:
-    from ..physics.scene_arrays import SceneArrays
-    from ..physics.visibility import Visible
 
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
@@ -121,51 +116,6 @@ def _area(box: NDArray) -> float:
     return float(max(box[2] - box[0], 0.0) * max(box[3] - box[1], 0.0))
 
 
-class SidesShown(NamedTuple):
-    """Sides of an object's visible box in a scene: left, top, right, bottom."""
-
-    object_ends: Bool[np.ndarray, "4"]
-    """True for each side where the object itself ends, not at an occluder or the image border."""
-    inside: Bool[np.ndarray, "4"]
-    """True for each side at which the extreme point of the whole object is within the image."""
-
-
-def _visible(scene: SceneSpec) -> "tuple[SceneArrays, Visible]":
-    """Return a scene's padded arrays, and the visible parts of its objects."""
-    from ..physics.layout import Layout
-    from ..physics.model import compile_scene
-    from ..physics.placed import measure_in_chunks, place_in_chunks
-    from ..physics.scene_arrays import pad_scene
-
-    padded = pad_scene(compile_scene(scene))
-    poses = place_in_chunks(padded, Layout.zero(1, padded.count))
-    return padded, measure_in_chunks(padded, poses, poses).visible
-
-
-def shown_sides(scene: SceneSpec) -> dict[str, SidesShown]:
-    """Return, for each object, the sides of its visible box that are ends of the object itself.
-
-    Other sides are edges of an occluder or of the image.
-
-    Environment supports are omitted. The result is empty if the scene has no camera.
-    """
-    if scene.camera is None:
-        return {}
-    padded, visible = _visible(scene)
-    object_ends, full_boxes = (
-        np.asarray(visible.unoccluded_sides)[0],
-        np.asarray(visible.outlines.boxes)[0],
-    )
-    low, high = np.split(np.asarray(padded.photo.edges), 2)
-    ends = full_boxes.reshape(-1, 2, 2)
-    inside = ((ends >= low) & (ends <= high)).reshape(-1, 4)
-    return {
-        item.name: SidesShown(object_ends[k], inside[k])
-        for k, item in enumerate(scene.objects)
-        if not item.environment
-    }
-
-
 def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     """Return the intersection over union of each object's visible box and its parsed box.
 
@@ -176,7 +126,14 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     """
     if scene.camera is None:
         return {}
-    padded, visible = _visible(scene)
+    from ..physics.layout import Layout
+    from ..physics.model import compile_scene
+    from ..physics.placed import measure_in_chunks, place_in_chunks
+    from ..physics.scene_arrays import pad_scene
+
+    padded = pad_scene(compile_scene(scene))
+    poses = place_in_chunks(padded, Layout.zero(1, padded.count))
+    visible = measure_in_chunks(padded, poses, poses).visible
     boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
     return {
         item.name: iou_2d(boxes[k], parsed[k])

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def compose_scene(context: StepContext) -> None:
-    """Step 4: fit the parsed tree to the built shapes, compose the scene, and align it.
+    """Step 4: compose the scene of the built objects, and align it with boxes and photograph.
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
     compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
@@ -72,7 +72,8 @@ def compose_scene(context: StepContext) -> None:
             evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
             used = options.model_copy(update={"refit": refits})
             placed = place(tree, objects, evidence, used)
-            _write_fit(run, placed, out)
+            if placed.by_boxes is not None:
+                _write_fit(run, placed.tree, placed.by_boxes, out)
             if placed.alignment is not None and evidence.photo is not None:
                 start = placed.composed.scene
                 _write_alignment(run, start, placed.alignment, evidence, out)
@@ -133,12 +134,12 @@ def _inputs(
     return inputs
 
 
-def _write_fit(run: RunFolder, placed: "LayoutEstimate", out: Path) -> None:
-    """Write the fitted tree and the report of the fit, if there was one."""
-    if placed.fit is None:
-        return
-    write_files(out, {TREE: placed.tree.to_json(), REFIT: placed.fit.to_json()})
-    for outcome, reason in placed.fit.notes():
+def _write_fit(run: RunFolder, tree: SceneTree, by_boxes: "Alignment", out: Path) -> None:
+    """Write the tree at its 2D boxes, and the changes, and note large ones in the run."""
+    write_files(out, {TREE: tree.to_json(), REFIT: by_boxes.to_json()})
+    if by_boxes.failure:
+        run.fallback("compose", "the scene is not aligned with its 2D boxes", by_boxes.failure)
+    for outcome, reason in by_boxes.notes(by_boxes.scene, "parsed", "its 2D box"):
         run.note("compose", outcome, reason)
 
 

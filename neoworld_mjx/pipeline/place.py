@@ -9,18 +9,16 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
-from ..compose.compose import Composed, compose
+from ..compose.compose import Composed, as_parsed, compose, moved_tree
 from ..compose.layout_patch import apply_layout, kept_layout
 from ..compose.on_supports import put_down
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
-from ..estimate.align import align
+from ..estimate.align import align, align_to_boxes
 from ..estimate.alignment import Alignment
-from ..estimate.fit_tree import FitReport
-from ..estimate.refit import refit_tree
 from ..evidence.evidence import Evidence, PhotoPixels
 from ..evidence.known_camera import with_known_camera
-from ..measure import SceneMeasure, shown_sides
+from ..measure import SceneMeasure
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine
 from ..physics.model import SceneModel
@@ -34,13 +32,13 @@ class LayoutEstimate:
     """A scene composed and aligned with its evidence."""
 
     tree: SceneTree
-    """The tree, fitted to the built shapes."""
+    """The tree, with what the user knows, moved to its 2D boxes."""
     composed: Composed
-    """The scene before the alignment."""
+    """The scene before the alignment with the photograph."""
     scene: SceneSpec
     """The aligned scene, with its objects on their supports."""
-    fit: FitReport | None = None
-    """Report of the fit; None if the tree was not fitted."""
+    by_boxes: Alignment | None = None
+    """Alignment of the parsed objects with their 2D boxes; None without one."""
     alignment: Alignment | None = None
     """The alignment, before its objects were put down; None without one."""
     seconds: float = 0.0
@@ -55,7 +53,7 @@ def place(
     *,
     name: str = "scene",
 ) -> LayoutEstimate:
-    """Fit a tree to its built objects, compose the scene, and align it with its evidence (Step 4).
+    """Compose a scene, and align it with its 2D boxes, then with all evidence (Step 4).
 
     Args:
         tree: the scene tree of Step 1.
@@ -75,17 +73,15 @@ def place(
         tree = evidence.masks.with_boxes(tree)
     if known is not None:
         tree = with_known_camera(tree, known)
-    tree, fit = evidence.objects.applied(tree, objects), None
+    tree, by_boxes = evidence.objects.applied(tree, objects), None
     if options.refit and evidence.boxes:
-        visible = shown_sides(compose(tree, objects, options, name=name).scene)
-        tree, fit = refit_tree(tree, objects, visible, known=known)
-        # The fit changes known sizes by about 1 %.
-        tree = evidence.objects.applied(tree, objects)
+        parsed = evidence.objects.marked(as_parsed(tree, objects, options))
+        by_boxes = align_to_boxes(parsed, measured=tree.camera_measured, evidence=evidence)
+        tree = moved_tree(tree, parsed, by_boxes.scene)
     composed = _composed(tree, objects, evidence, options, name)
     if evidence.photo is None or not options.align.enabled:
-        return LayoutEstimate(
-            tree, composed, composed.scene, fit, seconds=time.perf_counter() - began
-        )
+        seconds = time.perf_counter() - began
+        return LayoutEstimate(tree, composed, composed.scene, by_boxes, seconds=seconds)
     alignment = align(
         composed.scene,
         photo=evidence.photo,
@@ -95,7 +91,7 @@ def place(
     )
     scene = _with_kept(put_down(alignment.scene, options.gap_m), tree, evidence, options)
     seconds = time.perf_counter() - began
-    return LayoutEstimate(tree, composed, scene, fit, alignment, seconds)
+    return LayoutEstimate(tree, composed, scene, by_boxes, alignment, seconds)
 
 
 def _composed(

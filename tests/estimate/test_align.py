@@ -8,7 +8,7 @@ import pytest
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate import align as align_module
-from neoworld_mjx.estimate.align import align, align_again
+from neoworld_mjx.estimate.align import align, align_again, align_to_boxes
 from neoworld_mjx.spec import Sphere
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -91,6 +91,33 @@ def flat_photograph(scene, width=480):
     names = [item.spec.materials[0].name for item in scene.objects] + ["white"]
     colors = np.array([desk.COLORS[name][:3] for name in names])
     return (255 * colors[seen] + 0.5).astype(np.uint8)
+
+
+def test_boxes_bring_displaced_objects_back_in_the_picture(with_boxes, five):
+    """A stack, too: what stands on a displaced object is where the picture shows it."""
+    stack = desk.on_desk(
+        (desk.block("low", 0.16, 0.16, 0.06, "red"), (-0.05, 0.1), 0.0, {}),
+        (desk.can("high", 0.03, 0.1, "blue"), (0.0, 0.0), 0.0, {"parent": "low", "z": 0.06}),
+        (desk.block("brick", 0.12, 0.07, 0.06, "green"), (-0.1, -0.2), -0.4, {}),
+        (desk.block("tower", 0.06, 0.06, 0.16, "purple"), (0.15, -0.15), 0.2, {}),
+    )
+    moved = desk.displaced(desk.boxed(stack), low=(30, 40, 0, 0), high=(-25, -35, 0, 0))
+    for truth, wrong, share in ((five, with_boxes, 0.7), (stack, moved, 0.5)):
+        result = align_to_boxes(wrong)
+        before, after = (desk.distances(scene, truth) for scene in (wrong, result.scene))
+        assert np.mean([*after.values()]) < share * np.mean([*before.values()])
+        # Boxes cannot tell a wrong field of view from wrong distances.
+        assert result.scene.camera.fovy == wrong.camera.fovy
+        assert result.scene.camera.roll == wrong.camera.roll
+        assert all(item.uncertainty is None for item in result.scene.objects)
+    assert after["high"] < 0.5 * before["high"]
+
+
+def test_a_box_that_is_far_off_keeps_its_pull(five):
+    """An object 15 cm off, whose box alone tells so."""
+    wrong = desk.displaced(desk.boxed(five), can=(60.0, 140.0, 0, 0))
+    after = desk.distances(align_to_boxes(wrong).scene, five)
+    assert after["can"] < 40 and max(after.values()) < 40
 
 
 def test_displaced_objects_come_back(five, displaced, aligned):

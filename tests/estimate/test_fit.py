@@ -11,11 +11,9 @@ from neoworld_mjx.estimate.projection import (
     to_world,
     visible_box,
 )
-from neoworld_mjx.estimate.refit import refit_tree, surface_of
 from neoworld_mjx.estimate.tree_checks import agreement
-from neoworld_mjx.measure import SidesShown
-from neoworld_mjx.spec import Box, Box2D, Box3D, Cues, SceneTree
-from tests.support import answers, scenes
+from neoworld_mjx.spec import Box2D, Box3D, Cues, SceneTree
+from tests.support import answers
 
 
 def disturbed(tree, seed, *, place=0.04, size=0.06, yaw=8.0, pitch=3.0, height=0.05):
@@ -208,35 +206,6 @@ def test_cues_fix_their_numbers():
     assert np.allclose(fitted.node("right").box3d.size, node.box3d.size, rtol=0.01)
 
 
-def test_built_shapes_replace_outlines():
-    """A toy of an unknown kind, half as wide above: its outline says little, its shape all."""
-    toy = scenes.single(
-        "toy", (Box(size=(0.1, 0.1, 0.04)), (0, 0, 0)), (Box(size=(0.05, 0.05, 0.1)), (0, 0, 0.04))
-    )
-    item = answers.item("toy", (0.8, 0.1, 0.0), (0.1, 0.1, 0.14), label="toy")
-    tree = answers.exact(answers.answer(item))
-    box, camera = tree.node("toy").box3d, tree.camera
-    pixels, _ = camera.project(surface_of(toy, tree.node("toy")).hull + np.array(box.position))
-    corners = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-    box2d = Box2D(**dict(zip(("x0", "y0", "x1", "y1"), corners, strict=True)))
-    truth = answers.with_node(tree, "toy", box2d=box2d)
-    same, report = refit_tree(truth, {"toy": toy})
-    assert same is truth
-    assert not report.applied
-    wrong = answers.moved(truth, "toy", (0.03, -0.02, 0), (1.08, 1.08, 1.08))
-    once, _ = fit_tree(wrong)
-    again, _ = refit_tree(once, {"toy": toy})
-    errors = [
-        np.linalg.norm(np.subtract(t.node("toy").box3d.position, box.position))
-        for t in (wrong, once, again)
-    ]
-    assert errors[2] < 0.012
-    assert errors[2] < errors[1] < errors[0]
-    # A program's proportions are its own.
-    ratio = np.array(again.node("toy").box3d.size) / np.array(once.node("toy").box3d.size)
-    assert np.allclose(ratio, ratio[0], rtol=1e-3)
-
-
 def extents(camera, points, edges):
     owners = np.zeros(len(edges), int)
     return extents_in_picture(camera, points[None], edges, owners)[0]
@@ -268,27 +237,6 @@ def test_extents_in_picture_match_dense_points():
         assert box == pytest.approx(expected, abs=0.02 * size.max())
     out = frame.points * 0.1 + [5.0, 0.0, 1.0]
     assert np.isnan(extents(camera, out, frame.edges)).all()
-
-
-def test_edges_that_leave_the_picture_locate_a_cut_object():
-    """A plank that reaches out of the picture at the left: its visible lower side tells where."""
-    plank = scenes.single("plank", (Box(size=(0.03, 1.6, 0.2)), (0, 0, 0)))
-    item = answers.item("plank", (1.1, 0.5, 0.0), (0.03, 1.6, 0.2), label="plank")
-    tree = answers.exact(answers.answer(item))
-    node = tree.node("plank")
-    turned = node.model_copy(update={"box3d": node.box3d.model_copy(update={"yaw": 0.5})})
-    corners = visible_box(tree.camera, turned.box3d.corners())
-    assert corners is not None and corners[0] == 0
-    box2d = Box2D(**dict(zip(("x0", "y0", "x1", "y1"), corners, strict=True)))
-    truth = answers.with_node(tree, "plank", box2d=box2d, box3d=turned.box3d)
-    shown = {"plank": SidesShown(np.array([0, 1, 1, 0], bool), np.array([0, 1, 1, 0], bool))}
-    same, _ = refit_tree(truth, {"plank": plank}, shown)
-    assert same is truth
-    wrong = answers.moved(truth, "plank", position=(-0.08, 0.0, 0))
-    off = lambda fitted: np.linalg.norm(
-        np.subtract(fitted.node("plank").box3d.position, turned.box3d.position)
-    )
-    assert off(refit_tree(wrong, {"plank": plank}, shown)[0]) < 0.6 * off(wrong)
 
 
 def test_objects_on_a_wall_neither_leave_it_nor_turn():

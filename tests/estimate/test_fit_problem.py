@@ -1,4 +1,4 @@
-"""The Jacobian evaluates all differences together, as copies of the objects."""
+"""The Jacobian perturbs all objects of a level of the tree together."""
 
 import json
 import random

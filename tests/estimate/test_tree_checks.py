@@ -1,12 +1,10 @@
 import math
 
-import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.fit_data import hidden_sides
 from neoworld_mjx.estimate.priors import camera_sd
 from neoworld_mjx.estimate.tree_checks import agreement, check_score, check_tree
-from neoworld_mjx.measure import SidesShown
 from neoworld_mjx.spec import Box2D
 from tests.support import answers
 
@@ -128,14 +126,6 @@ def test_hidden_sides_do_not_lower_the_agreement():
     assert agreement(beyond, beyond.node("right")) < 0.8
     cut = answers.with_node(tree, "right", box2d=Box2D(x0=0, y0=y0, x1=x1, y1=y1))
     assert hidden_sides(cut, cut.node("right")).tolist() == [True, False, False, False]
-    # The built shapes tell better: nothing is before its left side, but something below.
-    sides = lambda *flags: np.array(flags, bool)
-    shown = SidesShown(sides(1, 1, 1, 0), sides(1, 1, 1, 1))
-    told = hidden_sides(hidden, hidden.node("right"), shown)
-    assert told.tolist() == [False, False, False, True]
-    # Where its extreme point is out of the picture they say nothing of that side.
-    shown = SidesShown(sides(0, 1, 1, 1), sides(0, 1, 1, 1))
-    assert hidden_sides(hidden, hidden.node("right"), shown).tolist() == [True, False, False, False]
 
 
 def test_the_stated_uncertainty_of_a_measured_camera_widens_its_prior():

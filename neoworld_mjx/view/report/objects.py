@@ -96,15 +96,17 @@ def all_moves(folder: Path) -> dict[str, dict[str, str]]:
     rounds = (read_json(folder / "parse.json") or {}).get("rounds", [])
     accepted = [entry for entry in rounds if entry.get("kept")]
     parsed = (accepted[0].get("fit") or {}).get("objects", {}) if accepted else {}
-    refit = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
+    by_boxes = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
     moves: dict[str, dict[str, str]] = {}
-    for step, fitted in ((BOXES, parsed), (SHAPES, refit)):
-        for name, change in fitted.items():
-            text = "unchanged: the fit was rejected"
-            if not change.get("refused"):
-                ratio = math.prod(change["size_ratio"]) ** (1 / 3)
-                text = _change(change["distance_m"], ratio, change["yaw_deg"])
-            moves.setdefault(name, {})[step] = text
+    for name, change in parsed.items():
+        text = "unchanged: the fit was rejected"
+        if not change.get("refused"):
+            ratio = math.prod(change["size_ratio"]) ** (1 / 3)
+            text = _change(change["distance_m"], ratio, change["yaw_deg"])
+        moves.setdefault(name, {})[BOXES] = text
+    for name, change in by_boxes.items():
+        text = _change(math.hypot(*change["shift_m"]), change["size_ratio"], change["yaw_deg"])
+        moves.setdefault(name, {})[SHAPES] = text
     composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
     if composed.is_file() and refined.is_file():
         for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
