@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from ..estimate.contacts import ContactGaps, SceneGeoms, contacts
-from ..estimate.standing import Standing
+from ..estimate.rows.contacts import ContactGaps, SceneGeoms, contacts
+from ..estimate.rows.standing import Standing
 from ..estimate.unknowns import CAMERA, EACH, Unknowns
 from ..physics.layout import Layout
 from ..physics.model import CompiledScene

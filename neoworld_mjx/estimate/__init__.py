@@ -1,9 +1,12 @@
 """Estimate of the camera and the layout from the photograph and all other evidence.
 
-- `fit_tree` fits the camera and the 3D boxes of a tree to its 2D boxes (Step 1), with the outlines
-  of categories; `refit` repeats it with built shapes, and `tree_checks` checks a tree without a
-  model.
-- `align` aligns the composed scene with the pixels (Step 4): `unknowns` places the scene,
-  `rasterize` renders it, `normal_equations` linearizes contours, 2D boxes and contacts, and
-  `alignment` holds the prior and the result.
+- `align`: the calls of Step 4. `align_to_boxes` moves the built objects to their 2D boxes, `align`
+  uses all evidence, `align_again` moves some objects once more.
+- `unknowns`: the vector of unknowns, and the scene at its values. `prior`: its prior.
+- `rows/`: evidence, linearized: `boxes`, `contours`, `edges`, `depth`, `contacts`, `standing`.
+- `problem`: which rows there are at some values. `solve`: their sum, its solution and covariance.
+- `depth_start`: where a depth image starts. `views`: cameras of further photographs.
+- `image/`: colors, line segments, and renderings of the scene. `result`: what changed.
+- `tree/`: Step 1. `fit_tree` fits the parsed boxes with the outlines of categories, and
+  `tree_checks` checks them without a model.
 """

@@ -22,24 +22,24 @@ from ..physics.photo_view import see_through
 from ..spec import SceneSpec
 from ..spec.correlation import PoseCorrelation
 from ..spec.scene import PoseUncertainty
-from .alignment import (
+from .image.colors import LabImage
+from .image.rasterize import height_of
+from .prior import is_misjudged
+from .problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentStage
+from .result import (
     Alignment,
     DepthOutcome,
     EvidenceKind,
     FittedUnknowns,
     ObjectAlignment,
     ViewOutcome,
-    is_misjudged,
 )
-from .alignment_problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentStage
-from .camera_evidence import camera_estimates, edges_of_photo
-from .colors import LabImage
-from .contacts import SceneGeoms
-from .further_views import located_views
-from .normal_equations import NormalEquations, Source
-from .rasterize import height_of
-from .standing import Standing
+from .rows.contacts import SceneGeoms
+from .rows.edges import camera_estimates, edges_of_photo
+from .rows.standing import Standing
+from .solve import NormalEquations, Source
 from .unknowns import CAMERA, FOCAL, ROLL, Placement, Unknowns
+from .views import located_views
 
 SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from ..evidence.depth_image import sensor_sd
 from ..measure import iou_2d
 from ..spec import Camera, SceneObject, SceneSpec
-from .depth_rows import LEAST_M, LEAST_PIXELS, MOST_PIXELS, UPWARD, SceneDepth, eroded
-from .rasterize import WorldMesh, draw_objects, window_of
+from .image.rasterize import WorldMesh, draw_objects, window_of
+from .rows.depth import LEAST_M, LEAST_PIXELS, MOST_PIXELS, UPWARD, SceneDepth, eroded
 from .unknowns import Unknowns
 
 NEAR_M, NEAR = 0.01, 0.01

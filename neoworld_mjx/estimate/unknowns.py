@@ -28,8 +28,8 @@ from ..physics.sampling import is_round
 from ..render import visible_surface
 from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
 from ..spec.pose import matrix
-from .further_views import EACH_VIEW, ViewCamera
-from .rasterize import DrawnObjects, WorldMesh, draw_objects
+from .image.rasterize import DrawnObjects, WorldMesh, draw_objects
+from .views import EACH_VIEW, ViewCamera
 
 
 @dataclass(frozen=True)

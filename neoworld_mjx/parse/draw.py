@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from ..estimate.projection import NEAR_M, edges_in_view
+from ..estimate.tree.projection import NEAR_M, edges_in_view
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from .photo import Photo

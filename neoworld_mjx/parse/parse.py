@@ -20,11 +20,11 @@ from pydantic import ValidationError
 
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
-from ..estimate.fit_tree import FitReport, fit_tree
-from ..estimate.image_lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..estimate.priors import is_slab
-from ..estimate.projection import outline_of
-from ..estimate.tree_checks import SceneIssue, check_score, check_tree
+from ..estimate.image.lines import EdgeRegion, VerticalEdges, vertical_edges
+from ..estimate.tree.fit_tree import FitReport, fit_tree
+from ..estimate.tree.projection import outline_of
+from ..estimate.tree.tree_checks import SceneIssue, check_score, check_tree
+from ..estimate.tree.tree_prior import is_slab
 from ..evidence.depth_image import DepthImage
 from ..evidence.known_camera import KnownCamera, with_known_camera
 from ..evidence.known_objects import KnownObjects

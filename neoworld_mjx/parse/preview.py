@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ..config import ParseOptions
 from ..errors import SpecError
-from ..estimate.projection import expected_box, outline_of
-from ..estimate.tree_checks import (
+from ..estimate.tree.projection import expected_box, outline_of
+from ..estimate.tree.tree_checks import (
     AGREEMENT_ERROR,
     AGREEMENT_WARNING,
     agreement,

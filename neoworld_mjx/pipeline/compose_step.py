@@ -33,7 +33,7 @@ from .step_context import (
 
 if TYPE_CHECKING:
     from ..compose.layout_patch import LayoutPatch
-    from ..estimate.alignment import Alignment
+    from ..estimate.result import Alignment
     from ..evidence.evidence import Evidence
     from .place import LayoutEstimate
 
@@ -159,9 +159,9 @@ def _write_alignment(
         evidence: the photograph, and depth image and masks if there are any.
         out: folder of the step's files.
     """
-    from ..estimate.outlines import evidence_picture, outline_errors, outline_picture
-    from ..estimate.sensor_residuals import depth_picture, mask_overlaps
     from ..render import to_png
+    from ..view.depth_pictures import depth_picture, mask_overlaps
+    from ..view.outline_pictures import evidence_picture, outline_errors, outline_picture
 
     report, aligned, photo = alignment.to_json(), alignment.scene, evidence.photo
     if aligned.camera is not None and photo is not None:

@@ -15,7 +15,7 @@ from ..compose.on_supports import put_down
 from ..config import AlignOptions, ComposeOptions, RefineOptions
 from ..engines import EngineChoice
 from ..estimate.align import align, align_to_boxes
-from ..estimate.alignment import Alignment
+from ..estimate.result import Alignment
 from ..evidence.evidence import Evidence, PhotoPixels
 from ..evidence.known_camera import with_known_camera
 from ..measure import SceneMeasure

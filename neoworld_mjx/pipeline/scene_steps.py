@@ -27,8 +27,8 @@ from .step_context import (
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..compose.layout_patch import read_layout_patch
-    from ..estimate.fit_tree import NOTED_M, NOTED_SIZE
-    from ..estimate.tree_checks import agreement
+    from ..estimate.tree.fit_tree import NOTED_M, NOTED_SIZE
+    from ..estimate.tree.tree_checks import agreement
     from ..measure import box_iou, object_moves, scene_checks
     from .given_evidence import evidence_of_tree, kept_inputs
     from .place import refine_placed

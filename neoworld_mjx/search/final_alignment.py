@@ -13,9 +13,9 @@ from jaxtyping import Float, UInt8
 
 from ..config import AlignOptions, RefineOptions
 from ..estimate.align import align_again
-from ..estimate.alignment_problem import FINE_PX
-from ..estimate.colors import SAME_PX, LabImage, is_supported
-from ..estimate.rasterize import draw_scene, height_of, pixels_of
+from ..estimate.image.colors import SAME_PX, LabImage, is_supported
+from ..estimate.image.rasterize import draw_scene, height_of, pixels_of
+from ..estimate.problem import FINE_PX
 from ..evidence.evidence import Evidence
 from ..measure import SceneMeasure
 from ..physics.model import compile_for_simulation

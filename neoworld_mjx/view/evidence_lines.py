@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ..estimate.priors import YAW
+from ..estimate.prior import YAW
 
 BOX, CONTOUR, DEPTH, MASK = "2D box", "contour", "depth", "mask"
 UNSEEN = 0.9

@@ -10,7 +10,7 @@ from neoworld_bench.noise.known_evidence import (
 )
 from scipy.ndimage import binary_dilation
 
-from neoworld_mjx.estimate.rasterize import draw_scene
+from neoworld_mjx.estimate.image.rasterize import draw_scene
 from neoworld_mjx.evidence.depth_image import MONOCULAR, sensor_sd
 from tests.estimate import desk
 

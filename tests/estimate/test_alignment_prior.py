@@ -4,14 +4,18 @@ import math
 
 import numpy as np
 import pytest
-
-from neoworld_mjx.estimate.alignment import (
+from neoworld_mjx.estimate.prior import (
+    ACROSS,
+    DEPTH,
     FIXED_YAW,
+    LOG_SIZE,
     LOG_STRETCH,
+    PITCH,
+    YAW,
     camera_deviations,
     prior_precision,
 )
-from neoworld_mjx.estimate.priors import ACROSS, DEPTH, LOG_SIZE, PITCH, YAW
+
 from neoworld_mjx.estimate.unknowns import FOCAL, STRETCH, TILT
 from neoworld_mjx.spec import HollowBox
 from tests.estimate import desk

@@ -7,13 +7,13 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
-from neoworld_mjx.estimate.camera_evidence import (
+from neoworld_mjx.estimate.image.rasterize import WorldMesh
+from neoworld_mjx.estimate.rows.edges import (
     camera_estimates,
     edges_of_photo,
     has_vertical_edges,
     linearized_edges,
 )
-from neoworld_mjx.estimate.rasterize import WorldMesh
 from neoworld_mjx.estimate.unknowns import CAMERA
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.colors import (
+from neoworld_mjx.estimate.image.colors import (
     LARGEST,
     LabImage,
     bins_of,
@@ -14,7 +14,7 @@ from neoworld_mjx.estimate.colors import (
     log_likelihood_ratio,
     shown_at,
 )
-from neoworld_mjx.estimate.rasterize import draw_objects
+from neoworld_mjx.estimate.image.rasterize import draw_objects
 from neoworld_mjx.render.appearance import to_lab
 from tests.estimate import desk
 

@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
-from neoworld_mjx.estimate.contacts import ContactGaps, SceneGeoms, contacts
+from neoworld_mjx.estimate.rows.contacts import ContactGaps, SceneGeoms, contacts
 from neoworld_mjx.physics.colliders import geom_distance, object_depths, object_of_geom, start_state
 from neoworld_mjx.spec import Mesh, bounds
 from tests.estimate import desk

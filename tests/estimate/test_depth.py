@@ -8,8 +8,8 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align, align_again
-from neoworld_mjx.estimate.depth_rows import SceneDepth, measured_depth
 from neoworld_mjx.estimate.depth_start import place_by_depth, support_plane, with_measured_supports
+from neoworld_mjx.estimate.rows.depth import SceneDepth, measured_depth
 from neoworld_mjx.estimate.unknowns import STEP, Unknowns
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.outlines import WIDTH_PX, evidence_picture
+from neoworld_mjx.view.outline_pictures import WIDTH_PX, evidence_picture
 from tests.estimate import desk
 
 

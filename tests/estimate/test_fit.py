@@ -3,15 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.fit_tree import fit_tree
-from neoworld_mjx.estimate.projection import (
+from neoworld_mjx.estimate.tree.fit_tree import fit_tree
+from neoworld_mjx.estimate.tree.projection import (
     ROUND_POINTS,
     extents_in_picture,
     hull_wireframe,
     to_world,
     visible_box,
 )
-from neoworld_mjx.estimate.tree_checks import agreement
+from neoworld_mjx.estimate.tree.tree_checks import agreement
 from neoworld_mjx.spec import Box2D, Box3D, Cues, SceneTree
 from tests.support import answers
 

@@ -6,7 +6,7 @@ import random
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.fit_problem import STEP, fit_problem
+from neoworld_mjx.estimate.tree.fit_problem import STEP, fit_problem
 from neoworld_mjx.mllm.requests import read_response
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from tests.support import answers

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.estimate.align import align, align_again
-from neoworld_mjx.estimate.further_views import locate, located_views, posed
-from neoworld_mjx.estimate.normal_equations import box_evidence
+from neoworld_mjx.estimate.rows.boxes import box_evidence
 from neoworld_mjx.estimate.unknowns import STEP, Unknowns
+from neoworld_mjx.estimate.views import locate, located_views, posed
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.further_photo import FurtherPhoto
 from neoworld_mjx.spec import Box2D

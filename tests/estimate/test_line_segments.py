@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from neoworld_mjx.estimate.image_lines import line_segments
+from neoworld_mjx.estimate.image.lines import line_segments
 
 SIZE = (240, 320)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.colors import LabImage, color_models
-from neoworld_mjx.estimate.contours import contour, displacements
-from neoworld_mjx.estimate.rasterize import DrawnObjects
+from neoworld_mjx.estimate.image.colors import LabImage, color_models
+from neoworld_mjx.estimate.image.rasterize import DrawnObjects
+from neoworld_mjx.estimate.rows.contours import contour, displacements
 
 SHAPE = (200, 320)
 LID_TOP, LID_BOTTOM, FOOT = 60, 78, 150

@@ -11,8 +11,8 @@ from neoworld_bench.rescues.rescue_rows import (
     upright,
 )
 
-from neoworld_mjx.estimate.outlines import outline_errors
 from neoworld_mjx.spec import SceneSpec, scale
+from neoworld_mjx.view.outline_pictures import outline_errors
 
 RADIUS = 0.06
 

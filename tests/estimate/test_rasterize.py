@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.rasterize import WorldMesh, draw_objects, pixels_of
+from neoworld_mjx.estimate.image.rasterize import WorldMesh, draw_objects, pixels_of
 from neoworld_mjx.render import render
 from tests.estimate import desk
 

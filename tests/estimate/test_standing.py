@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.align import align
-from neoworld_mjx.estimate.contacts import ContactGaps, SceneGeoms
-from neoworld_mjx.estimate.standing import MOST_INSET_M, Standing
+from neoworld_mjx.estimate.rows.contacts import ContactGaps, SceneGeoms
+from neoworld_mjx.estimate.rows.standing import MOST_INSET_M, Standing
 from neoworld_mjx.spec import world_poses
 from tests.estimate import desk
 

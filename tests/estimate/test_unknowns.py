@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.normal_equations import image_jacobian
+from neoworld_mjx.estimate.rows.linear import image_jacobian
 from neoworld_mjx.estimate.unknowns import CAMERA, EACH
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import matrix

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.estimate.tree_checks import AGREEMENT_ERROR, AGREEMENT_WARNING
+from neoworld_mjx.estimate.tree.tree_checks import AGREEMENT_ERROR, AGREEMENT_WARNING
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.draw import COLOURS, draw_region
 from neoworld_mjx.parse.preview import number_lines, preview

@@ -15,7 +15,7 @@ from PIL import Image
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import EvidenceError, RunError
-from neoworld_mjx.estimate.rasterize import draw_scene
+from neoworld_mjx.estimate.image.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored

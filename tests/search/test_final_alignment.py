@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
 from neoworld_mjx.errors import PhotoError
-from neoworld_mjx.estimate.alignment import Alignment
+from neoworld_mjx.estimate.result import Alignment
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import passes

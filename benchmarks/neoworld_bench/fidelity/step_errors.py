@@ -16,7 +16,7 @@ from jaxtyping import Float
 from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.estimate.fit_tree import fit_tree
+from neoworld_mjx.estimate.tree.fit_tree import fit_tree
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import SceneMeasure, measured, passes, visible_box_iou
 from neoworld_mjx.physics.colliders import snap_exactly

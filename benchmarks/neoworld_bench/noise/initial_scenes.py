@@ -17,8 +17,8 @@ from functools import cached_property
 from typing import Literal
 
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
-from neoworld_mjx.estimate.fit_tree import fit_tree
-from neoworld_mjx.estimate.tree_checks import SceneIssue, check_score, check_tree
+from neoworld_mjx.estimate.tree.fit_tree import fit_tree
+from neoworld_mjx.estimate.tree.tree_checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.pipeline.place import LayoutEstimate, place
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree

@@ -13,8 +13,8 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from neoworld_mjx.errors import SpecError, choices
-from neoworld_mjx.estimate.further_views import posed
-from neoworld_mjx.estimate.rasterize import draw_scene
+from neoworld_mjx.estimate.image.rasterize import draw_scene
+from neoworld_mjx.estimate.views import posed
 from neoworld_mjx.evidence.depth_image import MONOCULAR, DepthImage, sensor_sd
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.further_photo import FurtherPhoto

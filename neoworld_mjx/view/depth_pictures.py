@@ -4,12 +4,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..estimate.image.colors import overlap
+from ..estimate.image.rasterize import DrawnObjects, draw_scene
+from ..estimate.rows.depth import LEAST_PIXELS, measured_depth, pixel_rays
 from ..evidence.depth_image import DepthImage
 from ..evidence.masks import Masks
 from ..spec import SceneSpec
-from .colors import overlap
-from .depth_rows import LEAST_PIXELS, measured_depth, pixel_rays
-from .rasterize import DrawnObjects, draw_scene
 
 WIDTH_PX = 640
 """Width of the image in which residuals are drawn [px]."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from ..measure.boxes import (
+from ...measure.boxes import (
     footprint,
     intersection_2d,
     intersection_3d,
@@ -26,11 +26,11 @@ from ..measure.boxes import (
     support_footprint,
     upright,
 )
-from ..spec import SceneTree, TreeNode
-from .fit_data import EDGE, hidden_sides
+from ...spec import SceneTree, TreeNode
+from .categories import size_range
 from .fit_problem import nearest_boxes, outline_data
-from .priors import size_range
 from .projection import expected_box, outline_of
+from .sides import EDGE, hidden_sides
 
 AGREEMENT_WARNING, AGREEMENT_ERROR = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""

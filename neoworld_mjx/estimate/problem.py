@@ -10,11 +10,6 @@ from jaxtyping import Bool, Float, Int
 from ..config import AlignOptions
 from ..evidence.evidence import Evidence
 from ..spec import Box2D, SceneSpec
-from .alignment import DepthOutcome, camera_deviations, prior_precision
-from .camera_evidence import linearized_edges
-from .colors import LabImage, is_supported, overlap, shown_at
-from .contacts import ContactGaps, SceneGeoms, contacts
-from .depth_rows import SceneDepth
 from .depth_start import (
     MeasuredPlace,
     SupportPlane,
@@ -24,17 +19,19 @@ from .depth_start import (
     with_measured_supports,
     with_places_kept,
 )
-from .image_lines import VerticalEdges
-from .normal_equations import (
-    LinearEvidence,
-    NormalEquations,
-    Source,
-    box_evidence,
-    combined,
-    contour_evidence,
-)
-from .rasterize import DrawnObjects
-from .standing import Standing
+from .image.colors import LabImage, is_supported, overlap, shown_at
+from .image.lines import VerticalEdges
+from .image.rasterize import DrawnObjects
+from .prior import camera_deviations, prior_precision
+from .result import DepthOutcome
+from .rows.boxes import box_evidence
+from .rows.contacts import ContactGaps, SceneGeoms, contacts
+from .rows.contours import contour_evidence
+from .rows.depth import SceneDepth
+from .rows.edges import linearized_edges
+from .rows.linear import LinearEvidence, combined
+from .rows.standing import Standing
+from .solve import NormalEquations, Source
 from .unknowns import Unknowns
 
 CAMERA_NAMES = ("pitch", "roll", "focal", "height")

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-from ..spec import Box3D, Camera, Quat, TreeNode
-from ..spec.pose import IDENTITY, from_yaw, rotate
-from .priors import Outline, category_of
+from ...spec import Box3D, Camera, Quat, TreeNode
+from ...spec.pose import IDENTITY, from_yaw, rotate
+from .categories import Outline, category_of
 
 NEAR_M = 0.02
 """Distance of the near plane from the camera [m]."""

@@ -18,9 +18,9 @@ from PIL import Image
 from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
 from scipy.spatial import KDTree
 
-from ..render.appearance import to_lab
+from ...render.appearance import to_lab
+from ..unknowns import Placement, Unknowns
 from .rasterize import DrawnObjects, draw_objects, window_of
-from .unknowns import Placement, Unknowns
 
 BINS = 24
 """Number of bins of a histogram along each axis."""

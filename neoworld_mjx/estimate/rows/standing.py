@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from ..physics.mjcf import object_of_body
-from ..spec import bounds, world_poses
-from ..spec.pose import IDENTITY
+from ...physics.mjcf import object_of_body
+from ...spec import bounds, world_poses
+from ...spec.pose import IDENTITY
+from ..unknowns import Placement, Unknowns
 from .contacts import ContactPoint, Gap, SceneGeoms
-from .unknowns import Placement, Unknowns
 
 LEAST_MASS_KG = 1e-9
 """Mass of an object without mass, such as a fixed support [kg]."""

@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..physics.colliders import geom_distance, object_of_geom, start_state
-from ..spec import SceneSpec, world_poses
-from ..spec.pose import matrix
-from .unknowns import STEP, Placement, Unknowns
+from ...physics.colliders import geom_distance, object_of_geom, start_state
+from ...spec import SceneSpec, world_poses
+from ...spec.pose import matrix
+from ..unknowns import STEP, Placement, Unknowns
 
 REACH_M = 0.01
 """Largest gap between two geoms that counts as a contact [m]."""

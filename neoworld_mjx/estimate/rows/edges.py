@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..evidence.evidence import Evidence
-from ..spec import Box2D, Camera
-from .image_lines import EdgeRegion, VerticalEdges, vertical_edges
-from .rasterize import WorldMesh
-from .unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns
+from ...evidence.evidence import Evidence
+from ...spec import Box2D, Camera
+from ..image.lines import EdgeRegion, VerticalEdges, vertical_edges
+from ..image.rasterize import WorldMesh
+from ..unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns
 
 LEAST_PITCH, LEAST_ROLL = math.radians(0.5), math.radians(0.3)
 """Least standard deviations of the estimated pitch and roll [rad], because the edges of one object,

@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from .colors import ColorModels, local_colors
-from .rasterize import DrawnObjects, window_of
+from ..image.colors import ColorModels, LabImage, color_models, local_colors
+from ..image.rasterize import DrawnObjects, window_of
+from ..unknowns import Placement, Unknowns
+from .linear import REFERENCE_PX, LinearEvidence, image_jacobian, unprojected
 
 MOST_POINTS = 300
 """Largest number of points of a contour."""
@@ -161,3 +163,85 @@ def _moments(
     p /= p.sum(axis=1, keepdims=True)
     mean = p @ offset
     return mean, np.maximum(p @ offset**2 - mean**2, 0.0)
+
+
+CONTOUR_PX = 0.7
+"""Standard deviation of a contour of the right shape [px]."""
+SHAPE = 0.01
+"""Standard deviation of a contour due to a wrong shape, relative to the contour's length / pi."""
+CORRELATION_PX, OBSERVATIONS = 16.0, 30
+"""Length of a contour [px] that counts as one observation, and the largest number of observations
+per contour. Errors of shapes are smooth, so neighboring points are correlated."""
+MARGIN_PX = 3.0
+"""Width of the margin along contours that color models omit [px]."""
+LEAST_SPREAD = 0.5
+"""Least robust spread of the displacements of a contour [px]."""
+LEAST_PRECISION = 1e-4
+"""Precision [1/px^2] below which the colors on the two sides of a contour count as equal."""
+OUTLYING = 2.0
+"""Displacement at which the weight of a point is halved, in multiples of the robust spread."""
+
+
+def contour_evidence(
+    unknowns: Unknowns,
+    now: Placement,
+    neighbors: list[Placement],
+    drawn: DrawnObjects,
+    image: LabImage,
+    k: int,
+    *,
+    reach: float,
+    step: float,
+    local_colors: bool = False,
+    known: Bool[np.ndarray, "row column"] | None = None,
+) -> LinearEvidence | None:
+    """Return the evidence of an object's contour, or None if there is no evidence.
+
+    Args:
+        unknowns: the unknowns.
+        now: the placement.
+        neighbors: the placements of `Unknowns.neighbors`.
+        drawn: the objects rendered in the placement.
+        image: the photograph.
+        k: index of the object.
+        reach: largest displacement, in pixels of an image REFERENCE_PX wide.
+        step: distance between samples along normals, in pixels of an image REFERENCE_PX wide.
+        local_colors: if True, the colors near each point count, too; see `displacements`.
+        known: pixels that show the object in the photograph, which replace the colors.
+    """
+    points = contour(drawn, k)
+    if points is None:
+        return None
+    width = image.lab.shape[1]
+    unit = width / REFERENCE_PX
+    models = None
+    if known is None:
+        models = color_models(drawn.owner, image.bins, k, max(1, round(MARGIN_PX * unit)))
+        if models is None:
+            return None
+    length = float(points.length.sum())
+    moved = displacements(
+        image.lab,
+        points,
+        models,
+        reach=reach * unit,
+        step=step * unit,
+        noise=float(np.hypot(CONTOUR_PX * unit, SHAPE * length / np.pi)),
+        unit=unit,
+        mask=drawn.owner == k if local_colors else None,
+        known=known,
+    )
+    informed = moved.precision > LEAST_PRECISION / unit**2
+    if not informed.any():
+        return None
+    deviation = np.abs(moved.value - np.median(moved.value))[informed]
+    spread = np.maximum(1.48 * np.median(deviation), LEAST_SPREAD * unit)
+    robust = 1 / (1 + (moved.value / (OUTLYING * spread)) ** 2)
+    # A contour with contradictory displacements is less certain than its colors suggest.
+    precision = moved.precision / (1 + moved.precision * np.square(spread))
+    independent = max(CORRELATION_PX * unit, length / OBSERVATIONS)
+    weight = points.length / independent * robust * precision
+    world = unprojected(now, points.pixel, points.depth, width)
+    local = now.local(k, world)
+    jacobian = image_jacobian(unknowns, now, neighbors, k, local, points.normal, width)
+    return LinearEvidence(jacobian / unit, moved.value / unit, weight * unit**2)

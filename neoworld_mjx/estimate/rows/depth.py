@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_erosion
 
-from ..evidence.depth_image import DepthImage, sensor_sd
-from ..evidence.masks import Masks
-from ..spec import Camera
-from .normal_equations import LinearEvidence, unprojected, value_jacobian
-from .rasterize import DrawnObjects
-from .unknowns import Placement, Unknowns
+from ...evidence.depth_image import DepthImage, sensor_sd
+from ...evidence.masks import Masks
+from ...spec import Camera
+from ..image.rasterize import DrawnObjects
+from ..unknowns import Placement, Unknowns
+from .linear import LinearEvidence, unprojected, value_jacobian
 
 MARGIN_PX, REFERENCE_PX = 3.0, 640.0
 """Width of the margin along outlines that is omitted, in pixels of an image REFERENCE_PX wide: the

@@ -25,12 +25,12 @@ from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.sparse import csr_matrix
 
-from ..evidence.known_camera import KnownCamera
-from ..spec import Box3D, SceneTree, TreeNode
+from ...evidence.known_camera import KnownCamera
+from ...spec import Box3D, SceneTree, TreeNode
 from .fit_data import CAMERA
 from .fit_problem import FitProblem, fit_problem, outline_residuals
-from .priors import is_slab
 from .tree_checks import agreement, check_objects
+from .tree_prior import is_slab
 
 NOTED_M, NOTED_SIZE = 0.10, 0.05
 """Changes of position [m] and size (relative) above which a note reports them."""

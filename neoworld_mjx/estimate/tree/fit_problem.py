@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..spec import Box3D, Camera, SceneTree, TreeNode
-from ..spec.pose import rotate
-from .fit_data import CAMERA, EDGE, FitData, object_data
-from .priors import rests_on_slab, shift_inside
+from ...spec import Box3D, Camera, SceneTree, TreeNode
+from ...spec.pose import rotate
+from .fit_data import CAMERA, FitData, object_data
 from .projection import (
     NEAR_M,
     CutSurfaces,
@@ -23,6 +22,8 @@ from .projection import (
     silhouette_of,
     stack_surfaces,
 )
+from .sides import EDGE
+from .tree_prior import rests_on_slab, shift_inside
 
 MAX_CUT = 8
 """Maximum number of objects whose visible part is projected edge by edge, which is slow."""

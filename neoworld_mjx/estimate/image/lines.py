@@ -25,7 +25,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 from scipy import ndimage
 
-from ..spec import Box2D, Camera
+from ...spec import Box2D, Camera
 
 BLUR_PX = 1.3
 """Standard deviation of the Gaussian filter that smooths the picture for derivatives [px]."""

@@ -17,12 +17,18 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
+from ..estimate.image.colors import (
+    LARGEST,
+    LabImage,
+    color_model,
+    color_models,
+    log_likelihood_ratio,
+)
+from ..estimate.image.rasterize import DrawnObjects, draw_scene, height_of, window_of
+from ..estimate.rows.contours import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, contour, displacements
+from ..estimate.rows.linear import REFERENCE_PX
 from ..physics.photo_view import see_through
 from ..spec import SceneSpec
-from .colors import LARGEST, LabImage, color_model, color_models, log_likelihood_ratio
-from .contours import contour, displacements
-from .normal_equations import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, REFERENCE_PX
-from .rasterize import DrawnObjects, draw_scene, height_of, window_of
 
 REACH_PX, STEP_PX = 24.0, 1.0
 """Largest distance that is recognized, and distance between samples, in pixels of an image

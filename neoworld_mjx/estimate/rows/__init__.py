@@ -1,0 +1,1 @@
+"""Rows of the normal equations, one module for each kind of evidence."""
