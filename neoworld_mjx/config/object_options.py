@@ -206,7 +206,7 @@ class ComposeOptions(Options):
         "Requires `parse.fit`.",
         difference=PaperDifference(
             False,
-            "Reconstructed shapes fill their boxes differently from the cuboids of the first fit.",
+            "Reconstructed shapes fill their boxes differently from outlines of categories.",
         ),
     )
     settle: bool = option(

@@ -1,12 +1,8 @@
 """Outlines of a scene in its photograph: their distances, and pictures of them.
 
-Distances between a scene's outlines and the photograph's, from the colors on their two sides.
-
-Picture of the objects' outlines over the photograph, before and after the alignment.
-
-Picture of the pixel evidence: where the photograph agrees with an object, and where not.
-
-The colors of every object and of its surroundings are estimated as for contours. Every pixel near
+The distances come from the colors on the two sides of an outline. One picture has the outlines
+before and after the alignment over the photograph, another one shows where the photograph agrees
+with an object. The colors of every object and of its surroundings are estimated as for contours. Every pixel near
 an object is rated: does its color belong to the object or to the background?
 """
 

@@ -1,13 +1,11 @@
 """Colors of a photograph: CIE Lab values, their histogram bins, and histograms as color models.
 
-Colors of the photograph near each point of a contour.
-
 The color of a can's lid may be rare on the can, and common around it because other cans have such
 lids, too. Near the lid, it is nevertheless the color inside the contour. Models of local colors
 resolve such cases (Tjaden et al., "A Region-based Gauss-Newton Approach to Real-Time Monocular
 Multiple Object Tracking", 2018). They assume that the contour is right to a few pixels.
 
-Acceptance of an object's new pose, based on the pixels in which two poses differ.
+Two poses of an object are compared by the pixels in which they differ.
 """
 
 from typing import NamedTuple

@@ -1,11 +1,7 @@
 """Vertical edges in a photograph, and the pitch and roll of the camera that they determine.
 
-Straight line segments of a picture whose direction is close to an expected direction.
-
 Pixels at which the gradient has a maximum across an edge are linked to chains. Chains are split
 where they bend, and the pieces are fitted by lines. Pieces of one line are joined across gaps.
-
-Pitch and roll of a camera from the vertical edges in its photograph.
 
 The images of vertical edges meet at one point, which pitch, roll and field of view determine. The
 straight edges near the expected direction vote for pitch and roll, while the field of view keeps

@@ -1,6 +1,6 @@
 """Least-squares problem of the fit: residuals of the picture and the priors, and the Jacobian.
 
-Residuals of projected outlines: distances [px] from the 2D boxes and contacts.
+Residuals of the picture are distances [px] of 2D boxes and contacts from projected outlines.
 """
 
 import math

@@ -1,7 +1,5 @@
 """Fit of camera and 3D boxes to the 2D boxes by robust least squares, and its report.
 
-Report of a fit: changes of the camera, of each object's box, and of supports.
-
 A model localizes objects well in the picture and knows their common sizes, but estimates distances
 less accurately. The fit therefore moves the camera (pitch, height) and the boxes (position, size,
 heading) only as far as the picture requires:
