@@ -2,8 +2,8 @@
 
 The distances come from the colors on the two sides of an outline. One picture has the outlines
 before and after the alignment over the photograph, another one shows where the photograph agrees
-with an object. The colors of every object and of its surroundings are estimated as for contours. Every pixel near
-an object is rated: does its color belong to the object or to the background?
+with an object. The colors of every object and of its surroundings are estimated as for contours.
+Every pixel near an object is rated: does its color belong to the object or to the background?
 """
 
 from collections.abc import Iterator
