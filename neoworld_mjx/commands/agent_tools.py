@@ -63,6 +63,7 @@ class AgentTools:
             fast: ask for each response once, without critiques: fewer requests, more errors stay.
         """
         self.agent_run.start(photo, out, evidence, options, fast)
+        self._shown.clear()
         self.agent_run.wait(5.0)
         if self.agent_run.error:
             raise RunError(self.agent_run.state())
@@ -73,8 +74,9 @@ class AgentTools:
     ) -> Content:
         """Return an open request: instructions, JSON schema, the request itself, and its pictures.
 
-        Instructions and schemas that came with another request are only named. If no request is
-        open, wait while the run computes.
+        Instructions and schemas that came with another request since start() are only named. All
+        requests that wait for you are listed; answer them in any order. If no request is open, wait
+        while the run computes.
 
         Args:
             id: the request; default: the oldest open one.
@@ -120,8 +122,8 @@ class AgentTools:
             raise SpecError("box: all four numbers must be finite")
         region = draw_region(request.pictures[picture - 1], box)
         factor = region.size[0] / max(abs(box[2] - box[0]), 1)
-        hint = "" if factor > 1.5 else ": as it is; name a smaller region to enlarge it"
-        return [f"{request.id}{hint}", region]
+        hint = "" if factor > 1.5 else "; name a smaller region to enlarge it more"
+        return [f"{request.id}, {factor:.1f} times as large{hint}", region]
 
     def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
         """Draw the 3D boxes of a response to a request for a scene, and check its numbers.
@@ -169,7 +171,7 @@ class AgentTools:
         from ..parse.crops import crops
         from ..program.sandbox import build
         from ..program.stages import compare_to_node
-        from ..program.views import compare, draw
+        from ..program.views import compare, draw, why_apart
         from ..spec import bounds, inertial
 
         config, tree = self.agent_run.config(), _tree(self.agent_run.current())
@@ -193,6 +195,8 @@ class AgentTools:
         if any(joint.type != "fixed" for joint in spec.joints):
             pictures.append(draw(spec, node, tree.camera, opened=True))
         labels = ", ".join(picture.label for picture in pictures)
+        if apart := why_apart(spec, node, tree.camera, crop.window):
+            labels += f" (not side by side: {apart})"
         return ["\n".join(["builds" if built.ok else "fails", *rows, labels]), *pictures]
 
     def status(self) -> Content:

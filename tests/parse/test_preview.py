@@ -118,5 +118,9 @@ def test_a_region_is_enlarged_with_rulers_in_pixels_of_the_whole():
     assert (region.rgb[100, 450] == 0).all()
     ticks = np.flatnonzero((region.rgb[0] == COLOURS[0]).all(axis=-1))
     assert set(range(0, 900, 50)) <= set(ticks.tolist())  # each pixel of the photograph
+    wide = draw_region(Picture.of("photo", np.zeros((480, 640, 3), np.uint8)), (0, 0, 640, 480))
+    assert wide.size == (900, 675)  # A region as wide as the picture is enlarged, too.
+    (spots,) = np.nonzero((wide.rgb[0] == COLOURS[0]).all(axis=-1))
+    assert round(600 * 900 / 640) in spots
     for box in ((-5, -5, -1, -1), (79.9, 59.9, 79.9, 59.9), (50, 40, 10, 10), (0, 0, 1e9, 1e9)):
         assert min(draw_region(Picture.of("photo", rgb), box).size) >= 2
