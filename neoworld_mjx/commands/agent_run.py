@@ -155,6 +155,17 @@ class AgentRun:
         """
         return self.path(self._current().session.out)
 
+    def with_scene(self, *files: str) -> Path:
+        """Return the folder of the current run, which contains one of the files of a scene.
+
+        Raises:
+            RunError: there is no scene yet.
+        """
+        out = self.current()
+        if not any((out / file).is_file() for file in files):
+            raise RunError(f"no scene yet: {self.state()}")
+        return out
+
     def photo(self) -> "tuple[Photo, KnownCamera | None]":
         """Return the photograph as the run uses it, and what the evidence says about its camera."""
         from ..pipeline.given_evidence import known_photo

@@ -121,9 +121,9 @@ class AgentTools:
         if not all(math.isfinite(value) for value in box):
             raise SpecError("box: all four numbers must be finite")
         region = draw_region(request.pictures[picture - 1], box)
-        factor = region.size[0] / max(abs(box[2] - box[0]), 1)
-        hint = "" if factor > 1.5 else "; name a smaller region to enlarge it more"
-        return [f"{request.id}, {factor:.1f} times as large{hint}", region]
+        whole = min(abs(box[2] - box[0]), request.pictures[picture - 1].size[0])
+        hint = "" if region.size[0] > 1.5 * whole else "; name a smaller region to enlarge it more"
+        return [f"{request.id}, picture {picture}{hint}", region]
 
     def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
         """Draw the 3D boxes of a response to a request for a scene, and check its numbers.
@@ -227,7 +227,7 @@ class AgentTools:
         """
         from .picture_commands import RenderCommand
 
-        out = self.agent_run.current()
+        out = self.agent_run.with_scene("compose/scene.json", "scene.json")
         if width not in WIDTHS:
             raise SpecError(f"width: got {width}, valid is from {WIDTHS[0]} to {WIDTHS[-1]}")
         direction = {"azimuth": azimuth_deg, "elevation": elevation_deg, "object": objects}
@@ -245,7 +245,7 @@ class AgentTools:
         from .object_commands import CheckCommand
         from .terminal import details
 
-        command = CheckCommand(target=self.agent_run.current())
+        command = CheckCommand(target=self.agent_run.with_scene("scene.json"))
         result = command.run()
         return ["\n".join([*command.lines(result)[:-1], *details({"checks": result["checks"]})])]
 
@@ -314,7 +314,7 @@ class AgentTools:
         """
         from .export_command import ExportCommand
 
-        target = self.agent_run.current()
+        target = self.agent_run.with_scene("scene.json")
         folder = self.agent_run.path(out or f"{target.name}-export")
         command = ExportCommand(target=target, out=folder, format=formats, simulator=simulator)
         result = command.run()

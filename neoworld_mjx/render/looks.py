@@ -98,9 +98,12 @@ def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
         if not mask.any() or alignment is None or not printable:
             objects.append(item)
             continue
-        source = masks[item.name] & _own_pixels(scene, item, photo, masks, alignments, reduced)
-        printable = {key: pixels & source for key, pixels in printable.items()}
-        printable = {key: pixels for key, pixels in printable.items() if pixels.any()}
+        inside = _warped(np.ones(mask.shape, bool), alignment, np.ones(2), smooth=False)
+        own = _own_pixels(scene, item, photo, masks, alignments, reduced)
+        source = mask & inside & own
+        printable = {
+            key: pixels & inside for key, pixels in printable.items() if (pixels & source).any()
+        }
         if not printable:
             objects.append(item)
             continue
@@ -269,7 +272,7 @@ def _own_pixels(
 ) -> NDArray:
     """Return the pixels at which the aligned photograph shows no other object.
 
-    Pixels outside the photograph are excluded. On supports, pixels near the outlines of objects are
+    On supports, pixels near the outlines of objects are
     excluded, too, if their colors differ from the support's: shapes of objects are simplified.
 
     Args:
@@ -293,8 +296,7 @@ def _own_pixels(
         if item.environment and not other.environment:
             nearby |= _nearby(shown, other, reduced)
     width = max(1, round(MARGIN * shape[1]))
-    own = _warped(np.ones(shape, bool), (stretch, shift), ones, smooth=False)
-    own = own & np.logical_not(ndimage.binary_dilation(covered, iterations=width))
+    own = np.logical_not(ndimage.binary_dilation(covered, iterations=width))
     known = own & masks[item.name] & ~nearby
     if known.any():
         unlike = own & nearby & _unlike(photo, known)

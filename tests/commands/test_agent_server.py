@@ -112,6 +112,8 @@ def built(tmp_path_factory):
                     seen["early build"] = await refused(
                         coffee.call("build", program="", object="cup")
                     )
+                    for tool in ("render", "check", "export"):
+                        seen[f"early {tool}"] = await refused(coffee.call(tool))
                     seen["early edit"] = await refused(coffee.call("edit", object="cup"))
                 if name.endswith("program-cup"):
                     program = response["program"]
@@ -205,6 +207,8 @@ def test_a_rejection_lists_every_mistake(built):
     assert "camera.fovy_deg: Field required" in seen["rejected"]
     assert seen["accepted"].startswith("accepted\n")
     assert "the run has not finished: coffee-scene: waits for you" in seen["early edit"]
+    for tool in ("render", "check", "export"):
+        assert "no scene yet: coffee-scene: waits for you: 0001-parse" in seen[f"early {tool}"]
 
 
 def test_long_work_reports_progress(built):
