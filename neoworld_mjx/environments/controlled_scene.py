@@ -30,7 +30,7 @@ from ..physics.model_fields import model_fields
 from ..physics.posterior import pose_factor
 from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
-from ..spec.pose import Pose, from_matrix, quat_mul, rotate
+from ..spec.pose import Pose, from_matrix, pose, quat_mul, rotate
 from .arm import Arm, Control, SceneState, compiled_arm
 from .robot_model import attach_robot, read_robot
 from .robots import PREFIX as ROBOT
@@ -250,11 +250,15 @@ class ControlledScene:
         half = xp.where(a[-1] > 0, a[-1] / 2, CLOSED_M)
         return xp.concatenate([a[:-1], half[None], half[None]])
 
+    @property
+    def robot_root(self) -> int:
+        """Index of the robot's first body."""
+        return int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
+
     @cached_property
-    def initial_root(self) -> tuple[NDArray, NDArray]:
-        """Pose of the robot's first body as it was mounted."""
-        body = int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
-        return self.model.body_pos[body].copy(), self.model.body_quat[body].copy()
+    def initial_root(self) -> Pose:
+        """Pose of that body as it was mounted."""
+        return pose(self.model.body_pos[self.robot_root], self.model.body_quat[self.robot_root])
 
     def tool(self, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
         """Return the position [3] m and orientation [4] of the tool of the gripper or robot.
