@@ -258,7 +258,8 @@ class ControlledScene:
     @cached_property
     def initial_root(self) -> Pose:
         """Pose of that body as it was mounted."""
-        return pose(self.model.body_pos[self.robot_root], self.model.body_quat[self.robot_root])
+        at = self.model.body(self.robot_root)
+        return pose(at.pos.copy(), at.quat.copy())
 
     def tool(self, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
         """Return the position [3] m and orientation [4] of the tool of the gripper or robot.
