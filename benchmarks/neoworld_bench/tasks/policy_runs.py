@@ -10,7 +10,7 @@ of `nw.sample`, about their true values; its poses and sizes are the true ones.
 """
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
-from neoworld_mjx.environments.policy_environment import TaskState
 from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.environments.randomization import Variants, variants_of
 from neoworld_mjx.environments.samples import SceneSamples, sample
@@ -34,7 +33,7 @@ from neoworld_mjx.environments.training import (
     snapshot_name,
     train_task,
 )
-from neoworld_mjx.environments.trials import EVALUATION_SEED, episodes
+from neoworld_mjx.environments.trials import EVALUATION_SEED, episodes, last
 from neoworld_mjx.spec import SceneSpec
 
 from ..methods.method_runs import MethodJob, MethodRow
@@ -240,12 +239,12 @@ class _Arena:
     ) -> None:
         self._task = effector.on(task)
         self._variants = variants_of(self._task.controlled, samples)
-        self._ends: Callable[[Policy], TaskState] = episodes(self._task, o.setting, self._variants)
+        self._states = episodes(self._task, o.setting, self._variants)
         self._goal = goal
 
     def successes(self, policy: Policy) -> NDArray:
         """Return which draws a policy succeeds in."""
-        ends = self._ends(policy).env
+        ends = last(self._states(policy)).env
         qpos, qvel, ctrl = (np.asarray(getattr(ends.data, n)) for n in ("qpos", "qvel", "ctrl"))
         lost = np.asarray(ends.done) > 0
         with ThreadPoolExecutor() as threads:
