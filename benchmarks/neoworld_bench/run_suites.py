@@ -71,6 +71,8 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
     from .tables.policy_figures import policy_summary
     from .tasks.catalogue import find_tasks
     from .tasks.policy_runs import (
+        HORIZON,
+        ROBOT_HORIZON,
         SNAPSHOTS,
         PolicyRow,
         PolicyTraining,
@@ -81,10 +83,12 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
     settings = run_settings(o, config, o.evidence)
     names = [task.name for task in find_tasks(o.task or drawn_tasks(o.each))]
     training = Training(o.steps, o.minutes, o.draws, o.seed, o.engine, snapshots=SNAPSHOTS)
+    setting = Setting(task=".", horizon=HORIZON if o.robot is None else ROBOT_HORIZON)
     with kept_rows(o, config) as store, TemporaryDirectory() as scratch:
         folder = o.keep or (store.folder or Path(scratch)) / "policies"
         work = partial(
-            policy_rows, PolicyTraining(training, o.worlds, o.samples, Setting(task="."), folder)
+            policy_rows,
+            PolicyTraining(training, o.worlds, o.samples, setting, folder, o.robot),
         )
         rows = run_jobs(
             work,
@@ -94,6 +98,7 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
             settings=settings,
             place=o.place,
             store=store,
+            in_turn=True,
         )
     return {**policy_summary(rows), "rows": plain(rows)}
 

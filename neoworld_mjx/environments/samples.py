@@ -241,7 +241,7 @@ def _settled(
     start = model.place_exactly(layouts)
     start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
     poses, measures = rest_and_measure(model, start, o, stop_early=True)
-    cameras = [_moved_camera(contacts.unknowns, change) for change in placed.camera]
+    cameras = [moved_camera(contacts.unknowns, change) for change in placed.camera]
     shift, diagonal = _box_shifts(model, poses, cameras)
     excess = shift - max_px - MAX_SHARE * diagonal
     rests = np.array([resting(model.spec, measure, o) for measure in measures])
@@ -287,8 +287,8 @@ def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) ->
     return f"{names[worst]} leaves its pixels" if excess[worst] > 0 else ""
 
 
-def _moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
-    """Return the camera of a draw; see `posterior.Draws.camera`.
+def moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
+    """Return the camera of a draw, None without a camera; see `posterior.Draws.camera`.
 
     A change of the focal length also moves the camera along its view, so that the middle of the
     scene keeps its size in the image. The alignment moves the scene instead of the camera.

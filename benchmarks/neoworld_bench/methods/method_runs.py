@@ -165,6 +165,7 @@ def run_jobs(
     settings: RunSettings,
     place: Place = HERE,
     store: RowStore | None = None,
+    in_turn: bool = False,
 ) -> list[R]:
     """Run methods on scenes or tasks, except for rows that are already stored.
 
@@ -176,6 +177,7 @@ def run_jobs(
         settings: settings of the run.
         place: where the jobs run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
+        in_turn: run each method on all subjects before the next method, in the order of `methods`.
 
     Returns:
         All rows, including stored ones, sorted by subject, start, seed, evidence and method; the
@@ -192,10 +194,11 @@ def run_jobs(
         for start, given in itertools.product(numbers, settings.evidence):
             of = (subject, start, settings.seed, given)
             missing = tuple(method for method in methods if (*of, method) not in rows)
-            if missing:
-                jobs.append(MethodJob(subject, start, missing, settings, place.threads, given))
+            for part in [(method,) for method in missing] if in_turn else [missing]:
+                if part:
+                    jobs.append(MethodJob(subject, start, part, settings, place.threads, given))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
-    jobs.sort(key=lambda job: job.start)
+    jobs.sort(key=lambda job: (in_turn * methods.index(job.methods[0]), job.start))
     for row in run_tasks(work, jobs, place):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
