@@ -209,9 +209,8 @@ class RefineOptions(Options):
 
     optimizer: str = option(
         "cem",
-        "Optimizer: cem, random, evosax:STRATEGY such as evosax:CMA_ES, or the import path "
-        '"package.module:function" of a function that builds an optimizer from the scene and the '
-        "options `cem`. STRATEGY is distribution-based; evosax is in the extra `baselines`.",
+        'Optimizer: cem, random, or the import path "package.module:function" of a function that '
+        "builds an optimizer from the scene and the options `cem`.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()
