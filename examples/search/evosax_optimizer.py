@@ -1,4 +1,4 @@
-"""A distribution-based strategy of evosax (Lange, arXiv:2212.04180), for `refine.optimizer`."""
+"""Strategies of evosax (Lange, arXiv:2212.04180): `refine.optimizer: evosax_optimizer:SNES`."""
 
 from functools import cache, partial
 from typing import Any
@@ -52,9 +52,11 @@ def open_strategy(name, scene, options):
     return Strategy(built(name, options.population, len(free)), sigma, free)
 
 
-@cache  # JAX compiles an equal object only once
-def built(name, population, variables):
-    return algorithms[name](population, np.zeros(variables, np.float32))
+# Equal objects are compiled once.
+built = cache(lambda name, n, k: algorithms[name](n, np.zeros(k, np.float32)))
 
 
-open_snes, open_cma_es = (partial(open_strategy, name) for name in ("SNES", "CMA_ES"))
+def __getattr__(name):
+    if name not in algorithms:
+        raise AttributeError(name)
+    return partial(open_strategy, name)

@@ -109,7 +109,7 @@ class SceneSamples:
     def scene(self, k: int) -> SceneSpec:
         """Return the scene of a draw, kept or not, with its masses, frictions and camera."""
         placed = self.model.apply(self.layouts, k, self.poses)
-        varied = _with_variation(self.model, placed, self.poses.variation, k)
+        varied = _with_variation(self.model, placed, self.poses, k)
         return self.model.scene_at(self.poses, k, varied).model_copy(
             update={"camera": self.cameras[k]}
         )
@@ -129,6 +129,7 @@ class SceneSamples:
             "friction": v.friction,
             "joint_friction": v.joint_friction,
             "joint_damping": v.joint_damping,
+            "opening": v.opening,
             "weights": self.weights,
             "stands": self.stands,
             "shift_px": self.shift_px,
@@ -158,7 +159,8 @@ def sample(
     """Draw scenes that a photograph allows.
 
     Poses, sizes and the camera are drawn from the estimate about the scene, with its
-    correlations and contacts; densities, frictions and losses of joints are drawn from priors.
+    correlations and contacts; densities, frictions, losses and openings of joints are drawn from
+    priors.
     Every draw is placed on its supports, settled and checked like a refined scene, all in one batch
     of C MuJoCo. The objects that are the reason of a refusal are drawn again.
 
@@ -338,12 +340,10 @@ def _box(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     return np.asarray(box).ravel()
 
 
-def _with_variation(
-    model: SceneModel, scene: SceneSpec, variation: Variation | None, k: int
-) -> SceneSpec:
-    """Return a scene with the physical quantities of a draw."""
-    assert variation is not None
-    one = jax.tree.map(lambda leaf: np.asarray(leaf)[k], variation)
+def _with_variation(model: SceneModel, scene: SceneSpec, poses: Poses, k: int) -> SceneSpec:
+    """Return a scene with the physical quantities and openings of a draw."""
+    assert poses.variation is not None
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[k], poses.variation)
     objects = []
     for n, item in enumerate(scene.objects):
         joints = {
@@ -352,7 +352,12 @@ def _with_variation(
             if model.static.joint_object[j] == n
         }
         spec = _varied_object(item, float(one.mass[n]), float(one.friction[n]), one, joints)
-        objects.append(item.model_copy(update={"spec": spec}))
+        state = dict(item.joint_state)
+        for name in filter(lambda name: one.opening[joints[name]], joints):
+            slides = model.static.joint_slides[joints[name]]
+            size = float(np.asarray(poses.scale)[k, n]) if slides else 1.0
+            state[name] = state.get(name, 0.0) + size * float(one.opening[joints[name]])
+        objects.append(item.model_copy(update={"spec": spec, "joint_state": state}))
     return scene.model_copy(update={"objects": tuple(objects)})
 
 

@@ -78,7 +78,7 @@ def test_a_strategy_of_evosax_draws_what_it_draws_by_itself():
     algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
     module = runpy.run_path(str(FOLDER / "evosax_optimizer.py"))
     scene, options = compile_scene(stored_scene("crowded_2"), samples=16), CEMOptions(population=8)
-    optimizer, flat = module["open_snes"](scene, options), module["flat"]
+    optimizer, flat = module["__getattr__"]("SNES")(scene, options), module["flat"]
     zero, free = nw.Layout.zero(1, scene.count), np.asarray(optimizer.free)
     es = algorithms.algorithms["SNES"](8, np.zeros(len(free), np.float32))
     params, state = es.default_params, optimizer.init(zero)
