@@ -15,31 +15,33 @@ from neoworld_mjx.search.cem import initial_sigma
 
 
 class Strategy(eqx.Module):
-    """Searches the free layout variables, in units of their initial standard deviations."""
-
+    # Searches the free layout variables, in units of their initial standard deviations.
     strategy: Any = eqx.field(static=True)
     sigma: nw.Layout
     free: tuple[int, ...] = eqx.field(static=True)  # variables with a deviation, flattened
 
     def init(self, mean):
-        start = jnp.zeros(len(self.free))
-        return mean, self.strategy.init(jax.random.key(0), start, self.strategy.default_params)
+        params, start = self.strategy.default_params, jnp.zeros(len(self.free))
+        return mean, self.strategy.init(jax.random.key(0), start, params)
 
     def ask(self, key, state, population):
+        free = jnp.array(self.free)
         samples, _ = self.strategy.ask(key, state[1], self.strategy.default_params)
-        free = jnp.asarray(self.free)
         rows = jnp.repeat(flat(state[0]), population, axis=0)
         rows = rows.at[:, free].add(samples * flat(self.sigma)[:, free])
         return jax.vmap(ravel_pytree(jax.tree.map(lambda leaf: leaf[0], state[0]))[1])(rows)
 
     def tell(self, state, layouts, reward, *, key, **_):
-        (mean, inner), free, params = state, jnp.asarray(self.free), self.strategy.default_params
+        (mean, inner), free, params = state, jnp.array(self.free), self.strategy.default_params
         samples = (flat(layouts) - flat(mean))[:, free] / flat(self.sigma)[:, free]
         finite = jnp.isfinite(reward)  # failed candidates count as worse than all others
-        worst = 1.0 + jnp.max(jnp.where(finite, -reward, 0.0))
+        loss = jnp.where(finite, -reward, 1.0 + jnp.max(jnp.where(finite, -reward, 0.0)))
         _, inner = self.strategy.ask(key, inner, params)  # changes the state of evosax, too
-        loss = jnp.where(finite, -reward, worst)
-        return mean, self.strategy.tell(jax.random.fold_in(key, 1), samples, loss, inner, params)[0]
+        key = jax.random.fold_in(key, 1)
+        return mean, self.strategy.tell(key, samples, loss, inner, params)[0]
+
+
+built = cache(lambda name, n, k: algorithms[name](n, np.zeros(k, np.float32)))  # compiled once
 
 
 def flat(layout):
@@ -48,15 +50,11 @@ def flat(layout):
 
 def open_strategy(name, scene, options):
     sigma = initial_sigma(scene, options)
-    free = tuple(np.flatnonzero(np.asarray(flat(sigma))[0] > 0).tolist())
+    free = tuple(np.flatnonzero(flat(sigma)[0] > 0).tolist())
     return Strategy(built(name, options.population, len(free)), sigma, free)
 
 
-# Equal objects are compiled once.
-built = cache(lambda name, n, k: algorithms[name](n, np.zeros(k, np.float32)))
-
-
 def __getattr__(name):
-    if name not in algorithms:
-        raise AttributeError(name)
-    return partial(open_strategy, name)
+    if name in algorithms:
+        return partial(open_strategy, name)
+    raise AttributeError(name)
