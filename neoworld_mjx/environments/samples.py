@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
@@ -19,9 +21,9 @@ from ..errors import RunError, SpecError
 from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
 from ..measure import SceneMeasure, passes, rest_and_measure, resting, scene_checks
+from ..physics.colliders import pair_distance
 from ..physics.layout import Layout, Poses, Variation
 from ..physics.model import SceneModel, compile_scene
-from ..physics.placed import pair_gaps
 from ..physics.posterior import Draws, PhysicalPrior, draw, draw_again
 from ..render import visible_surface
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
@@ -261,9 +263,14 @@ def _touching(model: SceneModel) -> Bool[np.ndarray, "object object"]:
 
     Fixed supports link nothing.
     """
-    fixed = np.array([item.environment for item in model.spec.objects])
-    near = np.asarray(pair_gaps(model, model.poses()))[0] < TOUCH_M
-    near[fixed] = near[:, fixed] = False
+    m, data = model.static.mjm, mujoco.MjData(model.static.mjm)
+    data.qpos[:] = model.static.start
+    mujoco.mj_kinematics(m, data)
+    geoms = [np.flatnonzero(model.static.geom_object == k) for k in range(len(model.names))]
+    near = np.zeros((len(geoms), len(geoms)), bool)
+    free = [k for k, item in enumerate(model.spec.objects) if not item.environment]
+    for i, j in combinations(free, 2):
+        near[i, j] = pair_distance(m, data, geoms[i], geoms[j], reach=TOUCH_M) < TOUCH_M
     _, group = connected_components(near, directed=False)
     return group[:, None] == group
 

@@ -164,7 +164,7 @@ class SceneModel(SceneArrays, CompiledScene):
 
     def place_exactly(self, layouts: Layout) -> Poses:
         """Place candidates in double precision (NumPy), at the snapped heights of `place`."""
-        height = np.asarray(self.place(layouts).height, float)
+        height = snapped_heights(self.arrangement, layouts).astype(float)
         double_layouts = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
         with np.errstate(invalid="ignore", over="ignore"):  # see `unplaceable`
             return compose_poses(self.static.arrangement, double_layouts, height, np)

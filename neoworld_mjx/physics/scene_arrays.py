@@ -188,16 +188,25 @@ def pad_objects(tree: Any, objects: int) -> Any:
 _heights = jax.jit(heights)
 
 
+HEIGHTS_AT_ONCE = 16
+"""Number of candidates whose heights are computed at once, unless there is only one."""
+
+
 def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, "pop object"]:
     """Return the snapped heights of the candidates' objects [m], shape [pop, object].
 
-    The computation is compiled once for each bucket and number of candidates.
+    The computation is compiled once for each bucket, and once more for single candidates.
     """
-    count = len(arrangement.parent)
+    pop, count = layout.yaw.shape
     padded_count = object_bucket(count)
     # Jitted, so that heights are rounded as in a search.
     padded = on_device(pad_arrangement(arrangement, padded_count))
-    return np.asarray(_heights(padded, on_device(pad_objects(layout, padded_count))))[:, :count]
+    layout, parts = pad_objects(layout, padded_count), []
+    for first in range(0, pop, HEIGHTS_AT_ONCE):
+        rows = np.arange(first, first + (HEIGHTS_AT_ONCE if pop > 1 else 1))
+        chunk = jax.tree.map(lambda x, rows=rows: x[np.minimum(rows, pop - 1)], layout)
+        parts.append(np.asarray(_heights(padded, on_device(chunk))))
+    return np.concatenate(parts)[:pop, :count]
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:
