@@ -205,7 +205,7 @@ def test_the_final_alignment_gets_what_the_run_has_and_is_in_its_result(
         (run / "evidence" / name).write_bytes(data)
     given = []
 
-    def again(before, refined, picture, *options, evidence, keep):
+    def again(before, refined, picture, *options, evidence, keep, world):
         given.append((before, evidence, set(keep)))
         scene = changed(refined, "cup", yaw=0.25)
         return FinalAlignment(scene, measured(scene, RefineOptions()), ("cup",))

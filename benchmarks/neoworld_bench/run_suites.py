@@ -4,6 +4,7 @@ Rows are kept as they come, and an interrupted run continues: see `rows`. Every 
 `n`.
 """
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,7 +42,7 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 
-    settings = run_settings(o, config, o.evidence)
+    settings = dataclasses.replace(run_settings(o, config, o.evidence), samples=o.samples)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)

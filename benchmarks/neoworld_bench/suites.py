@@ -129,6 +129,9 @@ class Tasks(NoisyRuns):
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
     """
+    samples: int = 0
+    """Draws about each result, as of `neoworld sample`, in which plans are executed: predicted
+    success, and the plan that succeeds in the most draws."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,6 +65,8 @@ class Variation(Candidates):
     """Factors of the dry friction of joints."""
     joint_damping: Float[AnyArray, "pop joint"]
     """Factors of the damping of joints."""
+    opening: Float[AnyArray, "pop joint"]
+    """Changes of the initial positions of hinges and slides at scale 1 [rad or m]."""
 
 
 class Poses(Candidates):

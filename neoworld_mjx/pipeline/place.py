@@ -191,7 +191,11 @@ def refine_placed(
     result, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
     if photo is not None and again is not None and again.aligns_again and refined.passed:
         began = time.perf_counter()
-        final = align_final(scene, refined.scene, photo, o, again, evidence=evidence, keep=keep)
+        # Scenes are compiled at most twice: after a search, both are there.
+        world = refined.world if refined.iterations else None
+        final = align_final(
+            scene, refined.scene, photo, o, again, evidence=evidence, keep=keep, world=world
+        )
         seconds["align"] = time.perf_counter() - began
         if final.measure is not None:
             result, measure = final.scene, final.measure

@@ -11,7 +11,7 @@ from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjcf import CONTACT_TIME_S
 from neoworld_mjx.physics.native import open_batch
-from neoworld_mjx.search.finishing import compile_for_search
+from neoworld_mjx.search.searched_scene import compile_for_search
 from tests.support import scenes
 
 GEOM_FIELDS = ("size", "pos", "quat", "friction", "solref", "solimp", "condim", "solmix", "margin")

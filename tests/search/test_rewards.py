@@ -144,7 +144,7 @@ def test_drift_of_joints_is_their_peak_over_the_bound_of_their_kind():
     shift[0, 1, np.flatnonzero(slides)[0]] = 0.02
     shift[1, 1, np.flatnonzero(~slides)[0]] = np.radians(15.0)
     rollout = eqx.tree_at(lambda r: r.joint_shift, still, jnp.asarray(shift))
-    found = rewards.joint_drift(scene, rollout, 0.01, np.radians(5.0))
+    found = rewards.drift_by_object(scene, rollout, 0.01, np.radians(5.0))
     k = scene.names.index("cabinet")
     assert found[:, k] == pytest.approx(np.array([2.0, 3.0]), rel=1e-5)
     assert found[:, scene.names.index("table")].tolist() == [0.0, 0.0]
@@ -229,8 +229,8 @@ class TestCompiled:
         more = Layout.zero(2, 3)
         object.__setattr__(more, "log_scale", np.zeros(2))  # Checks of annotations are for tests.
         for call, match in (
-            (lambda: d_pen(scene, Layout.zero(2, 4)), r"layouts.xy has shape \[2, 4, 2\], for 3"),
-            (lambda: d_pen(scene, more), r"layouts.log_scale has shape \[2\].*\[pop, 3\]"),
+            (lambda: d_pen(scene, Layout.zero(2, 4)), r"layouts.xy has shape \[2, 4, 2\], for 2"),
+            (lambda: d_pen(scene, more), r"layouts.log_scale has shape \[2\].*\[2, 3\]"),
             (lambda: d_drift(scene, Layout.zero(5, 3), still), r"rollout.pos has .*for 5 candid"),
         ):
             with pytest.raises(ValueError, match=match):

@@ -79,6 +79,8 @@ class RunSettings:
     noise: NoiseLevel
     evidence: tuple[str, ...] = ("none",)
     """Evidence in addition to the photograph: kinds joined by "+"; methods run with each."""
+    samples: int = 0
+    """Number of draws about each result, in which plans of tasks are executed."""
 
 
 def run_settings(options: Any, config: Config, evidence: Sequence[str]) -> RunSettings:
