@@ -1,4 +1,4 @@
-"""Manipulation tasks: plans and their execution, success in reconstructions, plans of a model."""
+"""Manipulation tasks: plans and their execution, and success in reconstructions."""
 
 import json
 import math
@@ -14,25 +14,15 @@ from neoworld_bench.tasks import (
     all_tasks,
     execute,
     find_task,
-    model_plans,
     wait,
 )
-from neoworld_bench.tasks.model_plans import (
-    FeedbackResult,
-    plan_figures,
-    plan_request,
-    plan_rows,
-    scene_of_method,
-)
 from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
-from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
+from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
 
 from neoworld_mjx import cli
-from neoworld_mjx.config import ComposeOptions, MLLMOptions, RefineOptions
+from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.environments.predicates import Leaning
-from neoworld_mjx.errors import ConfigError, MissingResponseError
-from neoworld_mjx.mllm import Panel
-from neoworld_mjx.mllm.replay import Replay, Tape
+from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.program import build
 from neoworld_mjx.spec.pose import from_yaw, pose, rotate
 from neoworld_mjx.spec.scene import transformed_scene
@@ -168,47 +158,8 @@ def test_success_summary_by_method_and_kind():
     assert ours["success_on_truth_interval"] == pytest.approx([0.0126, 0.9874], abs=1e-4)
 
 
-def answer(plan):
-    return json.dumps({"reasoning": "by hand", "plan": json.loads(plan.model_dump_json())})
-
-
-def planned(tape, method="truth"):
-    with Panel(Replay(tape, "by hand"), MLLMOptions()) as models:
-        return list(plan_rows(models, TASK, methods=[method], starts=1, settings=EXACT))
-
-
-def test_a_models_plan_is_executed_and_its_failure_refines_the_layout(monkeypatch):
-    scene = scene_of_method(TASK, photographed_task(TASK.scene), "truth", 0, EXACT)
-    request = plan_request(TASK, scene, photographed_task(TASK.scene))
-    assert TASK.instruction in request.prompt and len(request.pictures) == 1
-    assert "- upper (wooden block, carried by table)" in request.prompt
-    assert "(-0.120, -0.100, 0.025)" in request.prompt  # the middle of the upper cube
-    assert "within" not in request.prompt, "the condition of success is not told"
-    tape = Tape(made="written by hand: the reference plan")
-    tape.put(request, answer(TASK.plan), "hand")
-    (row,) = planned(tape)
-    assert row.planned and row.in_scene and row.on_truth and row.executions == 0
-    # A plan that fails; the refinement finds a layout in which it succeeds.
-    x, y, z = TASK.plan.position
-    astray = TASK.plan.model_copy(update={"position": (x + 0.06, y + 0.06, z)})
-    tape = Tape(made="written by hand: the reference plan, displaced")
-    tape.put(request, answer(astray), "hand")
-    outcome = execute(TASK.scene, TASK.plan, TASK.predicate)
-    refined = lambda *_, **__: FeedbackResult(TASK.scene, outcome, 40)
-    monkeypatch.setattr(model_plans, "refine_by_outcome", refined)
-    (row,) = planned(tape)
-    assert not row.in_scene and "upper within" in row.reason and row.executions == 40
-    figures = plan_figures([row])["methods"]["truth"]
-    assert (figures["n"], figures["no_plan"], figures["success_on_truth"]) == (1, 0, 0.0)
-    with pytest.raises(MissingResponseError):
-        planned(Tape(made="none"))
-
-
-def test_commands_print_one_json_object(capfd):
+def test_the_command_prints_one_json_object(capfd):
     with pytest.raises(SystemExit, match="0"):
         cli.main(["bench", "run", "tasks", "--task", TASK.name, "--method", "truth", "--json"])
     result = json.loads(capfd.readouterr().out)
     assert result["methods"]["truth"]["success_on_truth"] == 1.0 and result["n"] == 2
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["bench", "run", "plans", "--task", "bridge", "--provider", "mailbox"])
-    assert "mailbox" in capfd.readouterr().err
