@@ -71,11 +71,6 @@ def test_the_first_candidate_that_passes_wins(models, plate_x):
     assert plate == pytest.approx(STANDS, abs=2e-3)
 
 
-def test_invalid_candidates_are_checked_after_valid_ones(models):
-    chosen = choose_winner(*searched(models[FALLS], [FALLS, STANDS], [False, True]))
-    assert chosen.finished.passed and chosen.candidate == (1, 1) and chosen.tried == 1
-
-
 def test_the_result_is_never_worse_than_the_initial_layout(models, monkeypatch):
     model, rounds, o, initial = searched(models[FALLS], NEAR[:3], [True] * 3)
     assert not initial.passed

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from neoworld_mjx.cache import compilations
 from neoworld_mjx.config import RefineOptions, RewardOptions
 from neoworld_mjx.errors import ConfigError
 from neoworld_mjx.physics.engine import zero_duration_rollout
@@ -43,17 +42,6 @@ def test_d_pen_of_two_boxes_is_their_overlap(depth):
     scene = two_boxes(0.0)
     found = rewards.d_pen(scene, shifted(scene, -depth))
     assert float(found[0]) == pytest.approx(depth, abs=2e-6)
-
-
-def test_another_scene_of_the_same_shapes_compiles_nothing():
-    zero = Layout.zero(1, 3)
-    touching, apart = two_boxes(0.0), two_boxes(0.05)
-    rewards.d_pen(touching, zero), touching.place(zero)
-    count = compilations()
-    assert apart.static is not touching.static
-    assert np.asarray(rewards.d_pen(apart, zero)).tolist() == [0.0]
-    assert np.ptp(np.asarray(apart.place(zero).pos)[0, 1:, 0]) == pytest.approx(0.15, abs=1e-6)
-    assert compilations() == count
 
 
 def test_drift_is_the_maximum_over_time_of_distance_and_angle():

@@ -109,25 +109,6 @@ def test_a_strategy_has_parameters_and_errors_of_one_line(scene):
         assert "\n" not in str(error.value)
 
 
-class Still(eqx.Module):
-    """Optimizer that always proposes the initial layout."""
-
-    def init(self, mean):
-        return mean
-
-    def ask(self, key, state, population):
-        return jax.tree.map(lambda leaf: jnp.repeat(leaf, population, axis=0), state)
-
-    def tell(self, state, layouts, reward, **_):
-        return state
-
-
-def test_a_user_defined_optimizer(scene):
-    assert not refine(scene, options(), optimizer=Still()).history["xy"].any()
-    with pytest.raises(ConfigError, match=r"refine\.optimizer: 'cems' is unknown.*cem"):
-        refine(scene, options(optimizer="cems"))
-
-
 def scalar(scene, layouts, rollout):
     return jnp.mean(layouts.yaw)
 
