@@ -22,11 +22,3 @@ def test_frames_lie_on_the_boxes_in_the_colour_of_the_support():
     assert tuple(image[300, 0]) == GREY
     # Nothing is drawn in the middle of a box but frames of others.
     assert tuple(image[590, 400]) == (128, 128, 128)
-
-
-def test_the_drawing_depends_on_3d_boxes_only_on_request():
-    tree = answers.exact()
-    moved = answers.moved(tree, "can", position=(0.1, 0, 0))
-    assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
-    solid = [draw_parse(answers.photo(), t, draw_3d_boxes=True).data for t in (tree, moved)]
-    assert solid[0] != solid[1]
