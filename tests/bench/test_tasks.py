@@ -1,6 +1,5 @@
 """Manipulation tasks: plans and their execution, and success in reconstructions."""
 
-import json
 import math
 
 import numpy as np
@@ -19,7 +18,6 @@ from neoworld_bench.tasks import (
 from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
 from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
 
-from neoworld_mjx import cli
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.environments.predicates import Leaning
 from neoworld_mjx.errors import ConfigError
@@ -156,10 +154,3 @@ def test_success_summary_by_method_and_kind():
     assert success_interval(rows[:1], "success_on_truth") == (1.0, None, None)
     # Clopper and Pearson's interval of one of two tasks.
     assert ours["success_on_truth_interval"] == pytest.approx([0.0126, 0.9874], abs=1e-4)
-
-
-def test_the_command_prints_one_json_object(capfd):
-    with pytest.raises(SystemExit, match="0"):
-        cli.main(["bench", "run", "tasks", "--task", TASK.name, "--method", "truth", "--json"])
-    result = json.loads(capfd.readouterr().out)
-    assert result["methods"]["truth"]["success_on_truth"] == 1.0 and result["n"] == 2
