@@ -39,10 +39,10 @@ class Linearized:
         args = self.unknowns, self.now, self.neighbors, self.drawn, image, k
         return contour_evidence(*args, reach=10.0, step=1.0)
 
-    def equations(self):
+    def equations(self, mean=0.0):
         deviations = camera_deviations((), {}, misjudged=False)
         prior = prior_precision(self.unknowns, self.now, self.x, deviations)
-        return NormalEquations(self.unknowns, prior, self.x, mean=np.zeros_like(self.x))
+        return NormalEquations(self.unknowns, prior, self.x, mean=np.full_like(self.x, mean))
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +117,4 @@ def test_equations_without_a_contour_are_those_that_never_had_it(five, image):
     two = here.unknowns.columns(2)
     assert spread[0][two][1] < 0.25 * spread[1][two][1]
     assert prior.solved() == pytest.approx(0.0, abs=1e-12)
+    assert here.equations(mean=0.002).solved() == pytest.approx(0.002, abs=1e-12)

@@ -55,6 +55,7 @@ def test_drift_is_the_maximum_over_time_of_distance_and_angle():
     quat = np.broadcast_to(np.asarray(rollout.start.quat)[:, None], rollout.quat.shape).copy()
     half = np.radians(10.0) / 2
     quat[1, 0, ball] = [np.cos(half), np.sin(half), 0, 0]
+    pos[1, 0, ball, 0] += 0.01  # less of its bound than the turn
     made = eqx.tree_at(lambda r: (r.pos, r.quat), rollout, (jnp.asarray(pos), jnp.asarray(quat)))
     far, turned = rewards.drifts(scene, made)
     assert float(far[0, ball]) == pytest.approx(0.03, abs=1e-6)

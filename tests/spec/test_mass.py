@@ -28,3 +28,15 @@ def test_the_inertia_of_a_tilted_geom_is_turned_with_it(axis):
     assert found.mass == pytest.approx(mass)
     assert found.pos == pytest.approx((0.3, -0.2, 0.5))
     np.testing.assert_allclose(tensor(found), expected, atol=1e-9 * mass)
+
+
+def test_two_boxes_turn_about_their_common_center():
+    one, other = (Box(size=tuple(SIZE)), (-0.3, 0.0, 0.0)), (Box(size=tuple(SIZE)), (0.1, 0.2, 0.0))
+    pair = part("body", geom("one", *one), geom("other", *other))
+    found = inertial(ObjectSpec(name="o", materials=(WOOD,), parts=(pair,)), pair)
+    mass = WOOD.density * SIZE.prod()
+    own = np.diag(mass / 12 * (np.sum(SIZE**2) - SIZE**2))
+    d = np.array([0.2, 0.1, 0.0])  # of each box from the center of mass
+    expected = 2 * (own + mass * (d @ d * np.eye(3) - np.outer(d, d)))
+    assert found.pos == pytest.approx((-0.1, 0.1, 0.0))
+    np.testing.assert_allclose(tensor(found), expected, rtol=1e-9, atol=1e-9 * mass)
