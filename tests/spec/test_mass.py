@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.spec import Box, ObjectSpec, inertial
-from tests.support.mechanisms import WOOD, geom, part
+from neoworld_mjx.spec.mass import inertia_about
+from tests.support.mechanisms import WOOD, geom, joint, part
 
 SIZE = np.array([0.1, 0.2, 0.4])
 
@@ -40,3 +41,13 @@ def test_two_boxes_turn_about_their_common_center():
     expected = 2 * (own + mass * (d @ d * np.eye(3) - np.outer(d, d)))
     assert found.pos == pytest.approx((-0.1, 0.1, 0.0))
     np.testing.assert_allclose(tensor(found), expected, rtol=1e-9, atol=1e-9 * mass)
+
+
+def test_a_hinge_moves_the_inertia_about_its_axis():
+    """The distance along the axis does not matter, the one from it does."""
+    box = part("body", geom("box", Box(size=tuple(SIZE)), (0.3, -0.2, 0.5)))
+    found = inertial(ObjectSpec(name="o", materials=(WOOD,), parts=(box,)), box)
+    mass = WOOD.density * SIZE.prod()
+    expected = mass * ((SIZE[0] ** 2 + SIZE[1] ** 2) / 12 + 0.1**2)
+    hinge = joint("j", "continuous", "a", "body", pos=(0.2, -0.2, -1.0))
+    assert inertia_about(hinge, found) == pytest.approx(expected)
