@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.errors import RunError
+from neoworld_mjx.errors import EngineError, RunError
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.masks import Masks
@@ -224,3 +224,20 @@ def test_a_changed_picture_option_repeats_only_the_picture(composed, tmp_path, p
     assert changed == ["compose/picture"]
     with Image.open(out / "pictures" / "before.png") as before:
         assert before.width == 70
+
+
+def test_the_composed_scene_is_drawn_even_if_the_search_fails(
+    composed, tmp_path, photo, monkeypatch
+):
+    def fails(*args, **options):
+        raise EngineError("no engine")
+
+    first, config = composed
+    out = shutil.copytree(first.folder, tmp_path / "run")
+    monkeypatch.setattr(place, "refine", fails)
+    with pytest.raises(EngineError):
+        reconstruct(photo, out, wider(config), resume=True)
+    with Image.open(out / "pictures" / "before.png") as before:
+        assert before.width == 70
+    steps = json.loads((out / "run.json").read_text())["steps"]
+    assert "compose/picture" in steps and "refine" not in steps
