@@ -92,7 +92,7 @@ def compose(
         if options.hold_joints:
             placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene = snap(scene, options.gap_m)
+    scene = snap(scene)
     return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
 
 

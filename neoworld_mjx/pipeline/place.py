@@ -93,7 +93,7 @@ def place(
         measured=tree.camera_measured,
         evidence=evidence,
     )
-    scene = _with_kept(put_down(alignment.scene, options.gap_m), tree, evidence, options)
+    scene = _with_kept(put_down(alignment.scene), tree, evidence)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, fit, alignment, seconds)
 
@@ -107,7 +107,7 @@ def _composed(
 ) -> Composed:
     """Compose the scene; drop boxes and a camera that are no evidence."""
     composed = compose(tree, objects, options, name=name)
-    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence, options))
+    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence))
     composed = dataclasses.replace(composed, scene=scene)
     if evidence.boxes:
         return composed
@@ -117,14 +117,12 @@ def _composed(
     return dataclasses.replace(composed, scene=scene)
 
 
-def _with_kept(
-    scene: SceneSpec, tree: SceneTree, evidence: Evidence, options: ComposeOptions
-) -> SceneSpec:
+def _with_kept(scene: SceneSpec, tree: SceneTree, evidence: Evidence) -> SceneSpec:
     """Return the scene with the objects that the user placed where the tree has them."""
     keep = evidence.objects.keep
     if not keep:
         return scene
-    return apply_layout(scene, kept_layout(scene, tree, keep), options.gap_m)[0]
+    return apply_layout(scene, kept_layout(scene, tree, keep))[0]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from neoworld_bench.tasks.policy_runs import (
 )
 from neoworld_bench.tasks.policy_tasks import Effector, contact, policy_task, with_start_noise
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import load_config
 from neoworld_mjx.environments.policy import Setting
 from neoworld_mjx.environments.policy_environment import policy_observation
 from neoworld_mjx.environments.randomization import variants_of
@@ -85,7 +85,8 @@ def test_agreement_is_that_of_simpler():
 
 
 def test_policies_are_trained_in_the_reconstruction_and_run_in_the_truth(tmp_path):
-    config = Config()
+    quick = {"cem": {"population": 4, "iterations": 1}, "rollout": {"duration_s": 0.1}}
+    config = load_config(None, {"refine": quick, "compose": {"align": {"enabled": False}}})
     settings = RunSettings(0, config.refine, config.compose, "layout")
     training = Training(steps=64, samples=2, engine="native", snapshots=(0.1, 0.3, 1.0))
     o = PolicyTraining(training, 2, 2, Setting(task=".", horizon=3), tmp_path)

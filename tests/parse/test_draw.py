@@ -31,11 +31,3 @@ def test_the_name_of_a_low_object_at_the_edge_does_not_cover_it():
     image = pixels(draw_parse(answers.photo(), low))
     assert (image[3:11, 303:397] == 128).all()
     assert (image[:40, 250:450] == COLOURS[1]).all(axis=-1).sum() > 300  # The tag is near it.
-
-
-def test_the_drawing_depends_on_3d_boxes_only_on_request():
-    tree = answers.exact()
-    moved = answers.moved(tree, "can", position=(0.1, 0, 0))
-    assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
-    solid = [draw_parse(answers.photo(), t, draw_3d_boxes=True).data for t in (tree, moved)]
-    assert solid[0] != solid[1]

@@ -20,7 +20,7 @@ NO_RESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 """The search and the check detect divergence, where a user's simulation starts over."""
 
 
-@pytest.fixture(scope="module", params=[scenes.coffee, scenes.furnished, scenes.lamp])
+@pytest.fixture(scope="module", params=[scenes.furnished, scenes.lamp])
 def models(request, tmp_path_factory):
     """The three models of a scene, by use."""
     scene, o = request.param(), RefineOptions(check_duration_s=0.01)

@@ -8,7 +8,6 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import passes, scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_for_simulation
-from neoworld_mjx.physics.placed import settling_displacement
 from neoworld_mjx.search import finishing
 from neoworld_mjx.search.evaluation import Round
 from neoworld_mjx.search.finishing import finish, settle_and_check
@@ -129,19 +128,3 @@ def test_each_kind_of_fault_names_its_objects(initial):
     assert faulty(joint_slide_m={"low-tray": OPTIONS.max_drift_m}) == {"low"}
     assert faulty(displacement={"plate": 1.1, "top": 0.9}) == {"plate"}
     assert faulty(diverged=True) == set(names[1:])
-
-
-def test_displacement_compares_with_the_placed_poses():
-    model = compile_scene(towers(), samples=16)
-    spec = model.spec
-    x, y = spec.object("base").xy
-    end = scenes.changed(spec, "base", xy=(x, y + 0.2))
-    moved = lambda scene: dict(
-        zip(
-            model.names,
-            settling_displacement(model.static, model.poses(), model.poses(scene), np)[0],
-            strict=True,
-        )
-    )
-    assert set(moved(spec).values()) == {0.0}
-    assert {name for name, value in moved(end).items() if value > 1.0} == {"base", "top"}
