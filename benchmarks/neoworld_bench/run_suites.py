@@ -12,9 +12,10 @@ from typing import Any
 
 from neoworld_mjx.config import Config
 from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.mllm import Panel, open_panel
 
 from . import suites
-from .rows import collect, kept_rows, plain
+from .rows import RowStore, collect, kept_rows, plain
 
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
@@ -46,6 +47,20 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     with kept_rows(o, config) as store:
         rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
     return {**task_summary(rows), "rows": plain(rows)}
+
+
+def run_plans(o: suites.Plans, config: Config) -> dict[str, Any]:
+    """Request plans from a model, and execute them."""
+    from .methods.method_runs import run_settings
+    from .tasks.catalogue import find_tasks
+    from .tasks.model_plans import plan_figures, plan_rows
+
+    settings = run_settings(o, config, [o.evidence])
+    tasks = find_tasks(o.task)
+    with kept_rows(o, config) as store, _panel(o, config, store) as models:
+        plan = partial(plan_rows, models, methods=o.method, starts=o.starts, settings=settings)
+        rows = store.all({task.name: partial(plan, task) for task in tasks})
+    return {**plan_figures(rows), "rows": plain(rows)}
 
 
 def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
@@ -183,3 +198,10 @@ def run_all(o: suites.All) -> dict[str, Any]:
     from .all_tables import run_tables
 
     return run_tables(o.out, o.tables, o.workers, o.against)
+
+
+def _panel(o: suites.ModelRequests, config: Config, store: RowStore) -> Panel:
+    """Open the models; responses are recorded in the folder of an unfinished run by default."""
+    tapes = () if o.tape is None else (o.tape,)
+    record = o.record or (store.folder and store.folder / "responses.tape.json")
+    return open_panel(config.mllm, o.provider, tapes=tapes, mailbox=o.mailbox, record=record)

@@ -60,6 +60,20 @@ class NoisyRuns(Place):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ModelRequests:
+    """Options of suites that send requests to a model."""
+
+    provider: str = "auto"
+    """Source of the responses: auto, anthropic, openai, mailbox or replay."""
+    tape: Path | None = None
+    """Tape to replay."""
+    mailbox: Path | None = None
+    """Folder of the mailbox."""
+    record: Path | None = None
+    """Tape to record the responses on."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Examples:
     """Reconstruct the bundled examples from their tapes."""
 
@@ -118,6 +132,27 @@ class Tasks(NoisyRuns):
     samples: int = 0
     """Draws about each result, as of `neoworld sample`, in which plans are executed: predicted
     success, and the plan that succeeds in the most draws."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plans(ModelRequests):
+    """Request plans of the manipulation tasks from a model, and execute them in the scene that it
+    sees and in the ground truth; a plan that fails refines the layout, as in Section 4.4 of the
+    paper.
+    """
+
+    task: tuple[str, ...] = ()
+    """Names of tasks; all by default."""
+    method: tuple[str, ...] = ("truth", "ours", "open_loop")
+    """Methods that reconstruct the scene that the model sees, as in `bench run tasks`."""
+    evidence: str = "none"
+    """Evidence in addition to the photograph, as one set of `bench run tasks`."""
+    starts: int = 1
+    """Initial scenes of each task and method."""
+    noise: Literal["exact", "layout", "parse"] = "parse"
+    """Noise of the initial scenes."""
+    seed: int = 0
+    """Seed of the noise, the searches and the refinement."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,6 +287,7 @@ SUITES = {
     for name, options, configured in (
         ("scenes", SceneSet, True),
         ("tasks", Tasks, True),
+        ("plans", Plans, True),
         ("policies", Policies, True),
         ("rescue", Rescues, False),
         ("engines", Engines, False),

@@ -31,7 +31,15 @@ from neoworld_mjx.config import (
     option_values,
 )
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import bounds
+from neoworld_mjx.spec import (
+    Box,
+    GeomSpec,
+    JointSpec,
+    Material,
+    ObjectSpec,
+    PartSpec,
+    bounds,
+)
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
 from tests.support.scenes import changed
 
@@ -115,6 +123,31 @@ def test_toppled_and_fallen_objects_are_displaced():
     assert tilt_deg(pencil, at(leans), at(pencil.base_tilt)) < 0.01
     further = quat_mul(from_axis_angle([0, 1, 0], math.radians(80.0)), pencil.base_tilt)
     assert tilt_deg(pencil, at(further), at(pencil.base_tilt)) > 15.0
+
+
+LEAN, UPRIGHT, LYING = (
+    tuple(from_axis_angle((1.0, 0.0, 0.0), math.radians(angle))) for angle in (30.0, 3.0, 90.0)
+)
+BAR, BRICK = Box(size=(0.01, 0.01, 0.17)), Box(size=(0.1, 0.06, 0.04))
+
+
+def drawer(gap: float) -> ObjectSpec:
+    """Return two walls and a board that slides between them, `gap` m away from either."""
+    shape = lambda name, size, y: GeomSpec(
+        name=name, shape=Box(size=size), pos=(0.0, y, 0.05), material="oak"
+    )
+    walls = tuple(shape(f"wall_{k}", (0.2, 0.01, 0.1), y) for k, y in enumerate((-0.105, 0.105)))
+    board = shape("plank", (0.18, 0.2 - 2 * gap, 0.05), 0.0)
+    slide = JointSpec(
+        name="slide", type="prismatic", parent="walls", child="board",
+        axis=(1.0, 0.0, 0.0), lower=0.0, upper=0.1,
+    )  # fmt: skip
+    return ObjectSpec(
+        name="drawer",
+        materials=(Material(name="oak", density=700.0),),
+        parts=(PartSpec(name="walls", geoms=walls), PartSpec(name="board", geoms=(board,))),
+        joints=(slide,),
+    )
 
 
 def test_algorithm_1_has_the_papers_value_of_every_option_of_the_search():

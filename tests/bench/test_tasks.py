@@ -1,5 +1,6 @@
-"""Manipulation tasks: plans and their execution, and success in reconstructions."""
+"""Manipulation tasks: plans and their execution, success in reconstructions, plans of a model."""
 
+import json
 import math
 from functools import partial
 
@@ -14,6 +15,7 @@ from neoworld_bench.tasks import (
     all_tasks,
     execute,
     find_task,
+    model_plans,
     wait,
 )
 from neoworld_bench.tasks.model_plans import (
@@ -25,11 +27,14 @@ from neoworld_bench.tasks.model_plans import (
 )
 from neoworld_bench.tasks.plan_reliability import sampled_plans
 from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
-from neoworld_bench.tasks.task_scenes import put, scene_of, task_programs
+from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 
-from neoworld_mjx.config import ComposeOptions, RefineOptions
+from neoworld_mjx import cli
+from neoworld_mjx.config import ComposeOptions, MLLMOptions, RefineOptions
 from neoworld_mjx.environments.predicates import Leaning
-from neoworld_mjx.errors import ConfigError
+from neoworld_mjx.errors import ConfigError, MissingResponseError
+from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm.replay import Replay, Tape
 from neoworld_mjx.program import build
 from neoworld_mjx.spec.pose import from_yaw, pose, rotate
 from neoworld_mjx.spec.scene import transformed_scene
