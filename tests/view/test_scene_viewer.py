@@ -9,7 +9,7 @@ import pytest
 from neoworld_mjx.compose.layout_patch import LayoutPatch
 from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.config import Config
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose, yaw_of
