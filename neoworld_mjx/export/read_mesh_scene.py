@@ -21,23 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..errors import EvidenceError, PhotoError, SpecError
+from ..errors import EvidenceError, SpecError
 from ..evidence.file_camera import (
     TO_OPENCV,
     FileCamera,
     Rows,
-    camera_angles,
-    intrinsics,
     level_transform,
     rows_of,
 )
-from ..evidence.lens import Lens
 from ..io import read_model
 from ..io.names import identifier
 from ..quantities import count
-from ..spec import Camera, Spec
+from ..spec import Spec
 from ..spec.base import Vec3
-from ..spec.pose import Pose, from_yaw, pose, rotate
 from .asset_files import inside
 from .gltf_file import (
     MAX_NODES,
@@ -57,54 +53,6 @@ from .mesh_colors import Surface
 from .write_glb import OBJECT_EXTRAS, Y_UP
 
 POSES = "poses.json"
-
-
-class Viewpoint(NamedTuple):
-    """Camera of a photograph, and the transform that moves the scene in front of the camera."""
-
-    camera: Camera
-    scene_transform: Pose
-    """Horizontal translation and rotation about the vertical that are applied to the scene, so that
-    the camera is above the origin and heads along +x."""
-    lens: Lens | None = None
-    """Lens of the photograph, if the camera's image is the undistorted photograph."""
-
-
-def viewpoint(camera: FileCamera, width: int, height: int, source: str = "camera") -> Viewpoint:
-    """Return the camera of a photograph, and the transform of the scene to the camera.
-
-    Args:
-        camera: the camera, with pose and intrinsics.
-        width: width of the photograph [px].
-        height: height of the photograph [px].
-        source: where the camera comes from, for messages.
-
-    Raises:
-        EvidenceError: the intrinsics do not fit the photograph.
-        PhotoError: the camera has no pose or no intrinsics.
-    """
-    matrix = camera.matrix()
-    if matrix is None or (camera.fovy is None and camera.fx is None):
-        missing = "pose" if matrix is None else "field of view (fovy, or fx, fy, cx and cy)"
-        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
-    known, lens = intrinsics(camera, (width, height), source)
-    heading, pitch, roll = camera_angles(matrix[:3, :3])
-    rotation = from_yaw(-heading)
-    eye = rotate(rotation, matrix[:3, 3])
-    size = known.size
-    blank = Camera(
-        width=size[0], height_px=size[1], fovy=1, height=float(eye[2]), pitch=pitch, roll=roll
-    )
-    transform = pose((-float(eye[0]), -float(eye[1]), 0.0), rotation)
-    return Viewpoint(known.camera(blank), transform, lens)
-
-
-CAMERA_HELP = (
-    'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
-    '"pose": [[4x4]]}, '
-    "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
-    "it in the scene's file (docs/how-to/rescue-meshes.md)"
-)
 
 
 class MeshScene(NamedTuple):
