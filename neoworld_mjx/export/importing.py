@@ -31,7 +31,7 @@ from .mechanism import (
 )
 from .object_of_mechanism import Imported, budget_of, to_object
 from .read_mesh_scene import POSES, MeshScene, read_gltf, read_mesh, read_mesh_scene
-from .read_mjcf import read_mjcf, read_mjcf_scene
+from .read_mjcf import read_mjcf_scene
 from .read_urdf import read_urdf
 
 FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
@@ -41,26 +41,6 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 MAX_OBJECTS = 500
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
-
-
-def import_urdf(path: Path) -> Imported:
-    """Read a URDF file and its meshes as an object.
-
-    Raises:
-        SpecError: the file is broken or hostile, refers to a mesh that is missing or outside the
-            file's folder, or its links do not form a tree.
-    """
-    return to_object(call_limited(read_urdf, Path(path), needs=MESH_READERS))
-
-
-def import_mjcf(path: Path) -> Imported:
-    """Read an MJCF file with one object.
-
-    Raises:
-        SpecError: the file is broken or hostile, refers to a file that is missing or outside its
-            folder, is refused by MuJoCo, or contains several objects.
-    """
-    return to_object(call_limited(read_mjcf, Path(path)))
 
 
 @dataclass(frozen=True)
