@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from neoworld_mjx.config import ComposeOptions, Config, RefineOptions
+from neoworld_mjx.machines import HERE, Machines, check_machines, run_tasks
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -163,7 +163,7 @@ def run_jobs(
     starts: Mapping[str, Sequence[int]],
     methods: Sequence[str],
     settings: RunSettings,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
 ) -> list[R]:
     """Run methods on scenes or tasks, except for rows that are already stored.
@@ -174,7 +174,7 @@ def run_jobs(
         starts: numbers of each subject's initial scenes.
         methods: names of the methods.
         settings: settings of the run.
-        place: where the jobs run.
+        machines: where the jobs run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Returns:
@@ -184,7 +184,7 @@ def run_jobs(
     Raises:
         RunError: a file cannot be written, or a process died.
     """
-    check_place(place)
+    check_machines(machines)
     store = store or RowStore(None)
     rows = {row.key: row for row in store.of(row_type)}
     jobs = []
@@ -193,10 +193,10 @@ def run_jobs(
             of = (subject, start, settings.seed, given)
             missing = tuple(method for method in methods if (*of, method) not in rows)
             if missing:
-                jobs.append(MethodJob(subject, start, missing, settings, place.threads, given))
+                jobs.append(MethodJob(subject, start, missing, settings, machines.threads, given))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: job.start)
-    for row in run_tasks(work, jobs, place):
+    for row in run_tasks(work, jobs, machines):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
         rows[row.key] = row
