@@ -15,7 +15,7 @@ pose and the intrinsics of the photograph's camera.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,22 +48,11 @@ from .gltf_file import (
     roots_of,
 )
 from .load_mesh import SUFFIXES, load_surfaces, merged_vertices
-from .mechanism import Assembly, Link, Mechanism, visual_shapes
+from .mechanism import Assembly, FileScene, Link, Mechanism, visual_shapes
 from .mesh_colors import Surface
 from .write_glb import OBJECT_EXTRAS, Y_UP
 
 POSES = "poses.json"
-
-
-class MeshScene(NamedTuple):
-    """Objects of a scene file, with their poses in the world frame (Z up)."""
-
-    objects: list[Assembly]
-    camera: FileCamera | None = None
-    """Camera of the photograph; None if the file states no camera."""
-    in_camera: bool = False
-    """True if the poses in the file are in the camera's frame. The world frame is then the result
-    of `level_transform`."""
 
 
 class PosedFile(Spec):
@@ -88,7 +77,7 @@ class PosedFiles(Spec):
     objects: dict[str, PosedFile] = Field(min_length=1, max_length=MAX_NODES)
 
 
-def read_mesh_scene(path: Path) -> MeshScene:
+def read_mesh_scene(path: Path) -> FileScene:
     """Read a poses.json.
 
     Raises:
@@ -106,10 +95,10 @@ def read_mesh_scene(path: Path) -> MeshScene:
             raise SpecError(f"{path}: {error}") from None
         camera = FileCamera(pose=rows_of(to_world)).completed_by(camera)
     objects = [_posed(path, name, item, to_world) for name, item in posed.objects.items()]
-    return MeshScene(objects, camera, in_camera)
+    return FileScene(objects, camera=camera, in_camera=in_camera)
 
 
-def read_mesh(path: Path) -> MeshScene:
+def read_mesh(path: Path) -> FileScene:
     """Read a mesh file as one rigid object, in meters with Z up.
 
     Raises:
@@ -120,7 +109,7 @@ def read_mesh(path: Path) -> MeshScene:
     name = identifier(path.stem, "object")
     assembly = mesh_object(name, surfaces, np.eye(4), groups=[0] * len(surfaces))
     assembly.mechanism.notes += notes
-    return MeshScene([assembly])
+    return FileScene([assembly])
 
 
 def mesh_object(
@@ -200,7 +189,7 @@ Z_UP = Y_UP.T
 """Transform from glTF's axes (Y up) to axes with Z up."""
 
 
-def read_gltf(path: Path) -> MeshScene:
+def read_gltf(path: Path) -> FileScene:
     """Read the objects and the first perspective camera of a text or binary glTF file.
 
     Raises:
@@ -225,7 +214,7 @@ def read_gltf(path: Path) -> MeshScene:
         raise SpecError(f"{path} has no triangles")
     if animations := file.rows("animations"):
         found[0].mechanism.file_notes.append(f"{count(animations, 'animation')} not imported")
-    return MeshScene(found, camera)
+    return FileScene(found, camera=camera)
 
 
 def _object_nodes(file: GltfFile, meshed: set[int]) -> list[int]:
