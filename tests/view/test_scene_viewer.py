@@ -17,7 +17,7 @@ from neoworld_mjx.spec.scene import PoseUncertainty
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.scene_nodes import FreeFall, part_poses
 from neoworld_mjx.view.scene_viewer import PlacedScene, object_facts, settable_joints
-from neoworld_mjx.view.target import open_target, fixed_object_scene
+from neoworld_mjx.view.target import fixed_object_scene, open_target
 from tests.support import scenes
 
 
