@@ -31,7 +31,9 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
         rows = collect(submission_rows(scenes, o.submission, settings))
         return {**scene_summary(rows), "rows": plain(rows)}
     with kept_rows(o, config) as store:
-        rows = run_methods(scenes, o.method, settings, starts=o.starts, place=o.place, store=store)
+        rows = run_methods(
+            scenes, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        )
     return {**scene_summary(rows), "rows": plain(rows)}
 
 
@@ -45,7 +47,9 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     settings = dataclasses.replace(run_settings(o, config, o.evidence), samples=o.samples)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store:
-        rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
+        rows = run_successes(
+            tasks, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        )
     return {**task_summary(rows), "rows": plain(rows)}
 
 
@@ -97,7 +101,7 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
             starts={name: range(o.starts) for name in names},
             methods=o.trained_in,
             settings=settings,
-            place=o.place,
+            machines=o.machines,
             store=store,
             in_turn=True,
         )

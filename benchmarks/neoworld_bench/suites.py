@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 from tyro.conf import Positional
 
 from neoworld_mjx.engines import ENGINES, EngineChoice, EngineName
-from neoworld_mjx.places import Place
+from neoworld_mjx.machines import Machines
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
@@ -41,7 +41,7 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyRuns(Place):
+class NoisyRuns(Machines):
     """Options of suites that run methods from noisy initial scenes."""
 
     evidence: tuple[str, ...] = ("none",)

@@ -169,7 +169,7 @@ class AgentTools:
             object: name of the object in the parsed scene.
         """
         from ..parse.crops import crops
-        from ..program.sandbox import build
+        from ..program.building import build
         from ..program.stages import compare_to_node
         from ..program.views import compare, draw, why_apart
         from ..spec import bounds, inertial

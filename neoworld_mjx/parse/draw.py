@@ -211,22 +211,23 @@ def stamp(
     under[mask] = 0
 
 
-def draw_region(
-    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 900
-) -> Picture:
+REGION_PX = 900
+"""Approximate length of the longer side of an enlarged region [px]."""
+
+
+def draw_region(picture: Picture, box: tuple[float, float, float, float]) -> Picture:
     """Enlarge a region of a picture, with rulers whose numbers are pixels of the whole picture.
 
     Args:
         picture: the picture.
         box: left, top, right and bottom of the region [px]; it is clipped at the picture's edges.
-        shown_px: approximate length of the longer side of the result [px].
     """
     width, height = picture.size
     left, right = sorted(min(max(round(value), 0), width) for value in box[::2])
     top, bottom = sorted(min(max(round(value), 0), height) for value in box[1::2])
     left, top = min(left, width - 2), min(top, height - 2)
     right, bottom = max(right, left + 2), max(bottom, top + 2)
-    factor = max(1.0, shown_px / max(right - left, bottom - top))
+    factor = max(1.0, REGION_PX / max(right - left, bottom - top))
     region = Image.fromarray(picture.rgb[top:bottom, left:right])
     size = round(region.width * factor), round(region.height * factor)
     canvas = np.array(region.resize(size, Image.Resampling.BICUBIC))

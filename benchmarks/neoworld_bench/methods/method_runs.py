@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from neoworld_mjx.config import ComposeOptions, Config, RefineOptions
+from neoworld_mjx.machines import HERE, Machines, check_machines, run_tasks
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -165,7 +165,7 @@ def run_jobs(
     starts: Mapping[str, Sequence[int]],
     methods: Sequence[str],
     settings: RunSettings,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
     in_turn: bool = False,
 ) -> list[R]:
@@ -177,7 +177,7 @@ def run_jobs(
         starts: numbers of each subject's initial scenes.
         methods: names of the methods.
         settings: settings of the run.
-        place: where the jobs run.
+        machines: where the jobs run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
         in_turn: run each method on all subjects before the next method, in the order of `methods`.
 
@@ -188,7 +188,7 @@ def run_jobs(
     Raises:
         RunError: a file cannot be written, or a process died.
     """
-    check_place(place)
+    check_machines(machines)
     store = store or RowStore(None)
     rows = {row.key: row for row in store.of(row_type)}
     jobs = []
@@ -198,10 +198,10 @@ def run_jobs(
             missing = tuple(method for method in methods if (*of, method) not in rows)
             for part in [(method,) for method in missing] if in_turn else [missing]:
                 if part:
-                    jobs.append(MethodJob(subject, start, part, settings, place.threads, given))
+                    jobs.append(MethodJob(subject, start, part, settings, machines.threads, given))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
     jobs.sort(key=lambda job: (in_turn * methods.index(job.methods[0]), job.start))
-    for row in run_tasks(work, jobs, place):
+    for row in run_tasks(work, jobs, machines):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
         rows[row.key] = row

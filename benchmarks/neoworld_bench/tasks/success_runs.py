@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.environments.samples import sample
+from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import measured
-from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
 from ..methods.layout_errors import offsets, validity
@@ -197,7 +197,7 @@ def run_successes(
     settings: RunSettings,
     *,
     starts: int,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
 ) -> list[SuccessRow]:
     """Run methods on tasks, except for rows that are already stored.
@@ -207,7 +207,7 @@ def run_successes(
         methods: of scene_methods.METHODS, and TRUTH.
         settings: of the run.
         starts: number of initial scenes of each task.
-        place: where they run.
+        machines: where they run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
@@ -221,7 +221,7 @@ def run_successes(
         starts={task.name: range(starts) for task in tasks},
         methods=methods,
         settings=settings,
-        place=place,
+        machines=machines,
         store=store,
     )
 
