@@ -19,7 +19,7 @@ from neoworld_bench.tasks.policy_runs import (
 )
 from neoworld_bench.tasks.policy_tasks import Effector, contact, policy_task, with_start_noise
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.environments.policy import Setting
 from neoworld_mjx.environments.policy_environment import policy_observation
 from neoworld_mjx.environments.randomization import variants_of
