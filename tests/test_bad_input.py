@@ -72,27 +72,6 @@ def test_contradicting_flags_leave_the_run_unchanged(refused, parsed, tmp_path, 
     assert everything(out) == before
 
 
-def test_unreadable_photos_are_rejected(refused, tmp_path):
-    out = tmp_path / "out"
-    text = tmp_path / "text.png"
-    text.write_text("hello")
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    cut = tmp_path / "cut.png"
-    cut.write_bytes(PHOTO.read_bytes()[:20_000])
-    for photo, said in (
-        (tmp_path / "nowhere.png", "no such file; check the path"),
-        (empty, "is a folder"),
-        (text, "save it as PNG or JPEG"),
-        (cut, "get the file again"),
-        (picture(tmp_path / "one.png", (1, 1)), "1 x 1 pixels is too small; at least 16"),
-    ):
-        message = refused(photo, "--out", out)
-        assert photo.name in message
-        assert said in message
-        assert not out.exists()
-
-
 @pytest.mark.parametrize("provider", ["auto", "replay", "anthropic", "openai", "gpt"])
 def test_without_a_model_no_folder_is_created(refused, tmp_path, provider):
     photo = picture(tmp_path / "other.png")

@@ -4,6 +4,7 @@ Rows are kept as they come, and an interrupted run continues: see `rows`. Every 
 `n`.
 """
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,7 +31,9 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
         rows = collect(submission_rows(scenes, o.submission, settings))
         return {**scene_summary(rows), "rows": plain(rows)}
     with kept_rows(o, config) as store:
-        rows = run_methods(scenes, o.method, settings, starts=o.starts, place=o.place, store=store)
+        rows = run_methods(
+            scenes, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        )
     return {**scene_summary(rows), "rows": plain(rows)}
 
 
@@ -41,10 +44,12 @@ def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     from .tasks.catalogue import find_tasks
     from .tasks.success_runs import run_successes
 
-    settings = run_settings(o, config, o.evidence)
+    settings = dataclasses.replace(run_settings(o, config, o.evidence), samples=o.samples)
     tasks = find_tasks(o.task)
     with kept_rows(o, config) as store:
-        rows = run_successes(tasks, o.method, settings, starts=o.starts, place=o.place, store=store)
+        rows = run_successes(
+            tasks, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        )
     return {**task_summary(rows), "rows": plain(rows)}
 
 
@@ -71,6 +76,8 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
     from .tables.policy_figures import policy_summary
     from .tasks.catalogue import find_tasks
     from .tasks.policy_runs import (
+        HORIZON,
+        ROBOT_HORIZON,
         SNAPSHOTS,
         PolicyRow,
         PolicyTraining,
@@ -81,10 +88,12 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
     settings = run_settings(o, config, o.evidence)
     names = [task.name for task in find_tasks(o.task or drawn_tasks(o.each))]
     training = Training(o.steps, o.minutes, o.draws, o.seed, o.engine, snapshots=SNAPSHOTS)
+    setting = Setting(task=".", horizon=HORIZON if o.robot is None else ROBOT_HORIZON)
     with kept_rows(o, config) as store, TemporaryDirectory() as scratch:
         folder = o.keep or (store.folder or Path(scratch)) / "policies"
         work = partial(
-            policy_rows, PolicyTraining(training, o.worlds, o.samples, Setting(task="."), folder)
+            policy_rows,
+            PolicyTraining(training, o.worlds, o.samples, setting, folder, o.robot),
         )
         rows = run_jobs(
             work,
@@ -92,8 +101,9 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
             starts={name: range(o.starts) for name in names},
             methods=o.trained_in,
             settings=settings,
-            place=o.place,
+            machines=o.machines,
             store=store,
+            in_turn=True,
         )
     return {**policy_summary(rows), "rows": plain(rows)}
 

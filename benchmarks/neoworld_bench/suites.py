@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 from tyro.conf import Positional
 
 from neoworld_mjx.engines import ENGINES, EngineChoice, EngineName
-from neoworld_mjx.places import Place
+from neoworld_mjx.machines import Machines
 
 NoiseName = Literal["exact", "layout", "parse", "programs", "all"]
 """Noise levels of `noise.initial_scenes.NoiseLevel`."""
@@ -41,7 +41,7 @@ class Suite(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyRuns(Place):
+class NoisyRuns(Machines):
     """Options of suites that run methods from noisy initial scenes."""
 
     evidence: tuple[str, ...] = ("none",)
@@ -129,6 +129,9 @@ class Tasks(NoisyRuns):
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run scenes`. Programs have the ground-truth shapes.
     """
+    samples: int = 0
+    """Draws about each result, as of `neoworld sample`, in which plans are executed: predicted
+    success, and the plan that succeeds in the most draws."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,20 +157,22 @@ class Plans(ModelRequests):
 
 @dataclass(frozen=True, kw_only=True)
 class Policies(NoisyRuns):
-    """Train policies of a flying gripper in reconstructions of manipulation tasks, and run them in
-    the ground truth, and compare them with the open-loop plan of the same reconstruction.
+    """Train policies of a flying gripper or a robot in reconstructions of manipulation tasks, run
+    them in the ground truth, and compare them with the open-loop plan of the same reconstruction.
     """
 
     task: tuple[str, ...] = ()
     """Names of tasks. By default --each of opening, closing, pushing and placement are drawn."""
     each: int = 2
     """Tasks of each kind: the first in an order shuffled by seed 0."""
+    robot: str | None = None
+    """Robot instead of the flying gripper, as in `neoworld train`: panda, so101, ur5e or a file."""
     trained_in: tuple[Literal["plan", "scene", "mean", "truth"], ...] = (
-        *("plan", "scene", "mean", "truth"),
+        *("plan", "scene", "truth", "mean"),
     )
-    """Scenes in which policies are trained. scene: in draws of the reconstruction; mean: in the
-    reconstruction alone, without randomization; truth: in the ground truth with draws of its
-    physics. plan is the open-loop plan instead."""
+    """Scenes in which policies are trained, each on all tasks before the next. scene: in draws of
+    the reconstruction; mean: in the reconstruction alone, without randomization; truth: in the
+    ground truth with draws of its physics. plan is the open-loop plan instead."""
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run tasks`."""
     starts: int = 1

@@ -392,5 +392,7 @@ def _in_motion(
         value=overlap.depth,
         threshold=allowed,
         hint="check the sign of the axis (positive opens), the anchor, the range and the "
-        "clearance; what moves only when a door is open says after=",
+        "clearance; what moves only when a door is open says after=; what slides or turns inside "
+        "the other part (a button, a pin) needs a hole there, or allow_overlap(part, other, depth, "
+        "reason)",
     )

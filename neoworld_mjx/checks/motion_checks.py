@@ -21,7 +21,7 @@ from ..spec import link_poses, pieces
 from ..spec.convex import Piece, box_around
 from ..spec.pose import angle_between, matrix, pose, tilt_between
 from .scenarios import DROP_HEIGHT_M
-from .simulation import TIMESTEP_S, G, Simulation, Trajectory
+from .simulation import PUSH_S, TIMESTEP_S, G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, make_check, skipped
 
 
@@ -263,7 +263,7 @@ def _free_run(simulation: Simulation, trajectory: Trajectory, name: str) -> Iter
     # height, the energy of soft contacts would be large for a plate.
     weight = simulation.mass * G * float(simulation.size.max())
     # A push adds energy. Afterwards, the energy must not increase.
-    first = 0 if pushed is None else round(o.push_duration_s / TIMESTEP_S) + 1
+    first = 0 if pushed is None else round(PUSH_S / TIMESTEP_S) + 1
     energy = trajectory.energy[first:]
     gain = float(np.max(energy - energy[0])) / weight if len(energy) else 0.0
     limit = Limit(MAX_ENERGY_GAIN, "", Fault.GAINS_ENERGY)

@@ -30,6 +30,8 @@ FIXING_ARMATURE = 1e6
 """Armature that fixes a base or a joint, over the object's mass or the joint's inertia."""
 TIMESTEP_S = 0.002
 """Time step of the simulation [s]."""
+PUSH_S = 0.1
+"""Duration of the force that applies the impulse of a push [s]."""
 DRIVE_S = 0.5
 """Time in which the force on a free joint moves it across its range [s]."""
 HAND_FORCE_N = 100.0
@@ -181,7 +183,7 @@ class Simulation:
             mujoco.mj_setState(model, data, start, _STATE)
             mujoco.mj_forward(model, data)
         if scenario.part is not None:
-            pushed, during = model.body(body_name(self.spec, scenario.part)).id, o.push_duration_s
+            pushed, during = model.body(body_name(self.spec, scenario.part)).id, PUSH_S
             mass = float(model.body_subtreemass[pushed])
             body[time < during, pushed, :3] = np.array(scenario.impulse) * mass / during
         if scenario.driven and scenario.joint is not None:

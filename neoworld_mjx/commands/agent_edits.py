@@ -23,7 +23,7 @@ from ..errors import RunError, SpecError, choices
 from ..io import read_model
 from ..io.files import write_inside
 from ..program.ask import written_without_model
-from ..program.sandbox import build
+from ..program.building import build
 from ..spec import SceneSpec, joint_keys, support_frame, world_poses
 from ..spec.pose import conjugate, pose, rotate, yaw_of
 

@@ -155,6 +155,17 @@ class AgentRun:
         """
         return self.path(self._current().session.out)
 
+    def with_scene(self, *files: str) -> Path:
+        """Return the folder of the current run, which contains one of the files of a scene.
+
+        Raises:
+            RunError: there is no scene yet.
+        """
+        out = self.current()
+        if not any((out / file).is_file() for file in files):
+            raise RunError(f"no scene yet: {self.state()}")
+        return out
+
     def photo(self) -> "tuple[Photo, KnownCamera | None]":
         """Return the photograph as the run uses it, and what the evidence says about its camera."""
         from ..pipeline.given_evidence import known_photo
@@ -182,14 +193,14 @@ class AgentRun:
         """Result of the current run; None if it computes or has failed."""
         return self._current().result
 
-    def wait(self, seconds: float) -> bool:
-        """Wait until a request is open or the run has ended; return True in these cases."""
+    def wait(self, seconds: float) -> None:
+        """Wait until all requests that the run has sent are open, or the run has ended."""
         mailbox, ended, end = self.mailbox, self._current().ended, time.monotonic() + seconds
-        while not (ended.is_set() or open_requests(mailbox)):
-            if time.monotonic() >= end:
-                return False
+        while not ended.is_set() and time.monotonic() < end:
+            # The pictures of requests that were sent together are drawn one after another.
+            if len(open_requests(mailbox)) >= max(self._progress.unanswered, 1):
+                return
             ended.wait(min(0.2, seconds))
-        return True
 
     def progress(self) -> str:
         """Return the progress of the run that computes; empty if none does."""

@@ -63,6 +63,7 @@ class AgentTools:
             fast: ask for each response once, without critiques: fewer requests, more errors stay.
         """
         self.agent_run.start(photo, out, evidence, options, fast)
+        self._shown.clear()
         self.agent_run.wait(5.0)
         if self.agent_run.error:
             raise RunError(self.agent_run.state())
@@ -73,8 +74,9 @@ class AgentTools:
     ) -> Content:
         """Return an open request: instructions, JSON schema, the request itself, and its pictures.
 
-        Instructions and schemas that came with another request are only named. If no request is
-        open, wait while the run computes.
+        Instructions and schemas that came with another request since start() are only named. All
+        requests that wait for you are listed; answer them in any order. If no request is open, wait
+        while the run computes.
 
         Args:
             id: the request; default: the oldest open one.
@@ -119,9 +121,9 @@ class AgentTools:
         if not all(math.isfinite(value) for value in box):
             raise SpecError("box: all four numbers must be finite")
         region = draw_region(request.pictures[picture - 1], box)
-        factor = region.size[0] / max(abs(box[2] - box[0]), 1)
-        hint = "" if factor > 1.5 else ": as it is; name a smaller region to enlarge it"
-        return [f"{request.id}{hint}", region]
+        whole = min(abs(box[2] - box[0]), request.pictures[picture - 1].size[0])
+        hint = "" if region.size[0] > 1.5 * whole else "; name a smaller region to enlarge it more"
+        return [f"{request.id}, picture {picture}{hint}", region]
 
     def preview(self, response: dict[str, Any], id: str | None = None) -> Content:
         """Draw the 3D boxes of a response to a request for a scene, and check its numbers.
@@ -167,9 +169,9 @@ class AgentTools:
             object: name of the object in the parsed scene.
         """
         from ..parse.crops import crops
-        from ..program.sandbox import build
+        from ..program.building import build
         from ..program.stages import compare_to_node
-        from ..program.views import compare, draw
+        from ..program.views import compare, draw, why_apart
         from ..spec import bounds, inertial
 
         config, tree = self.agent_run.config(), _tree(self.agent_run.current())
@@ -193,6 +195,8 @@ class AgentTools:
         if any(joint.type != "fixed" for joint in spec.joints):
             pictures.append(draw(spec, node, tree.camera, opened=True))
         labels = ", ".join(picture.label for picture in pictures)
+        if apart := why_apart(spec, node, tree.camera, crop.window):
+            labels += f" (not side by side: {apart})"
         return ["\n".join(["builds" if built.ok else "fails", *rows, labels]), *pictures]
 
     def status(self) -> Content:
@@ -223,7 +227,7 @@ class AgentTools:
         """
         from .picture_commands import RenderCommand
 
-        out = self.agent_run.current()
+        out = self.agent_run.with_scene("compose/scene.json", "scene.json")
         if width not in WIDTHS:
             raise SpecError(f"width: got {width}, valid is from {WIDTHS[0]} to {WIDTHS[-1]}")
         direction = {"azimuth": azimuth_deg, "elevation": elevation_deg, "object": objects}
@@ -241,7 +245,7 @@ class AgentTools:
         from .object_commands import CheckCommand
         from .terminal import details
 
-        command = CheckCommand(target=self.agent_run.current())
+        command = CheckCommand(target=self.agent_run.with_scene("scene.json"))
         result = command.run()
         return ["\n".join([*command.lines(result)[:-1], *details({"checks": result["checks"]})])]
 
@@ -310,7 +314,7 @@ class AgentTools:
         """
         from .export_command import ExportCommand
 
-        target = self.agent_run.current()
+        target = self.agent_run.with_scene("scene.json")
         folder = self.agent_run.path(out or f"{target.name}-export")
         command = ExportCommand(target=target, out=folder, format=formats, simulator=simulator)
         result = command.run()

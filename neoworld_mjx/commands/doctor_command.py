@@ -15,7 +15,7 @@ EXTRAS = {
     "warp": ("mujoco_warp", "no engine warp, the fastest on NVIDIA GPUs for large populations"),
     "openai": ("openai", "no provider openai, and no servers with its protocol"),
     "mcp": ("mcp", "coding agents cannot answer the requests of a run (neoworld mcp)"),
-    "baselines": ("evosax", "no refine.optimizer evosax:STRATEGY"),
+    "baselines": ("evosax", "no examples/search/evosax_optimizer.py"),
     "plot": ("matplotlib", "sweeps draw no figure"),
 }
 """A package of each optional extra, and what is missing without the extra."""

@@ -177,7 +177,7 @@ def build_server(folder: Path) -> "MCPServer":
 
     @server.resource("neoworld://guide", mime_type="text/markdown")
     def guide() -> str:
-        """Guide to object programs."""
+        """Guide to object programs, which the first request for a program contains, too."""
         return package_text("neoworld_mjx.program", "guide")
 
     def read(name: str) -> bytes:

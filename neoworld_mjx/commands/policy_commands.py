@@ -49,6 +49,9 @@ class TrainCommand(Command):
     """Colliders in training; coarse ones are faster, and their error is printed."""
     engine: str | None = None
     """native, warp or mjx. Default: the fastest of the machine."""
+    reward: str | None = None
+    """Own reward as FILE.py:function, of (obs, action, data, previous) in jax.numpy; the file is
+    executed. Default: the reward of the task."""
     horizon: int | None = None
     """Actions of an episode. Default: that of the task."""
     delay_steps: int = 0
@@ -60,11 +63,13 @@ class TrainCommand(Command):
         """Train."""
         from dataclasses import replace
 
+        from ..environments.own_reward import read_reward
         from ..environments.training import CURVE, POLICY, Training, default_options, train
         from ..errors import RunError
         from ..physics.engine import open_engine
         from ..spec import read_scene
 
+        reward = None if self.reward is None else read_reward(self.reward)
         scene = read_scene(self.target)
         folder = self.target if self.target.is_dir() else self.target.parent
         out = self.out or folder / "policy"
@@ -83,6 +88,7 @@ class TrainCommand(Command):
             out,
             training=training,
             options=options,
+            reward=reward,
             resume=self.resume,
         )
         last = (out / CURVE).read_text(encoding="utf-8").splitlines()[-1]

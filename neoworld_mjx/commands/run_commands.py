@@ -165,9 +165,15 @@ class ReportCommand(Command):
 
     def run(self) -> CommandResult:
         """Write the report."""
+        from ..run_folder import read_run, verdict_line
         from ..view.report.run_report import write_report
 
-        return {"report": str(write_report(self.folder))}
+        report = write_report(self.folder)
+        return {"report": str(report), "verdict": verdict_line(read_run(self.folder)["metrics"])}
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return the verdict, and the path of the report."""
+        return [result["verdict"], f"report: {result['report']}"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tyro.conf import Positional
 
 from ..errors import ConfigError
-from ..places import Place
+from ..machines import Machines
 from .base_command import Command, CommandResult
 from .result_lines import sweep_lines
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanCommand(Command, Place):
+class PlanCommand(Command, Machines):
     """Options of the commands that run a plan."""
 
     plan: Positional[Path]
@@ -42,7 +42,7 @@ class PlanCommand(Command, Place):
         return {
             "resume": self.resume,
             "overwrite": self.overwrite,
-            "place": self.place,
+            "machines": self.machines,
             "shard": (1, 1) if self.shard is None else shard_of(self.shard),
         }
 

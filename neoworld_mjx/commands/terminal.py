@@ -94,6 +94,11 @@ class StatusLine(logging.Handler):
                 self._stream.write(text + "\n")
                 self._stream.flush()
 
+    @property
+    def unanswered(self) -> int:
+        """Number of requests that models have not answered yet."""
+        return self._facts.get("unanswered") or 0
+
     def text(self) -> str:
         """Return the status line."""
         facts = self._facts

@@ -91,13 +91,11 @@ def compose(
         if options.hold_joints:
             placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene = snap(scene, options.gap_m)
+    scene = snap(scene)
     return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
 
 
-def as_parsed(
-    tree: SceneTree, objects: Mapping[str, ObjectSpec], options: ComposeOptions | None = None
-) -> SceneSpec:
+def as_parsed(tree: SceneTree, objects: Mapping[str, ObjectSpec]) -> SceneSpec:
     """Return the built objects, scaled to their parsed boxes, at their parsed places.
 
     Objects are on their supports, but contents of containers at their parsed height: a place that
@@ -106,7 +104,6 @@ def as_parsed(
     Args:
         tree: the parse.
         objects: built object of every node, by the node's name.
-        options: clearance under snapped objects.
 
     Raises:
         SpecError: a node has no object.
@@ -117,7 +114,7 @@ def as_parsed(
         fit = fit_to_box(objects[node.name], node)
         placed[node.name] = _place(node, tree, placed, *fit.scaled(), (0.0, 0.0, 0.0), [], [])
     scene = SceneSpec(name="parsed", objects=tuple(placed.values()), camera=tree.camera)
-    snapped = snap(scene, (options or ComposeOptions()).gap_m)
+    snapped = snap(scene)
     items = (
         parsed if parsed.relation == "in" else item
         for parsed, item in zip(scene.objects, snapped.objects, strict=True)
@@ -145,7 +142,7 @@ def moved_tree(tree: SceneTree, before: SceneSpec, after: SceneSpec) -> SceneTre
             size=tuple((ratio * np.array(box.size)).tolist()),
             yaw=math.remainder(box.yaw + turn, 2 * math.pi),
         )
-        unmoved = node.environment and node.parent is None
+        unmoved = node.parent is None and np.allclose(old.pos, new.pos)
         nodes.append(node if unmoved else node.model_copy(update={"box3d": moved}))
     return tree.model_copy(update={"camera": after.camera, "nodes": tuple(nodes)})
 

@@ -61,15 +61,12 @@ class LayoutPatch(Spec):
         return self.model_dump_json(indent=1, exclude_none=True) + "\n"
 
 
-def apply_layout(
-    scene: SceneSpec, patch: LayoutPatch, gap: float = 1e-4
-) -> tuple[SceneSpec, tuple[str, ...]]:
+def apply_layout(scene: SceneSpec, patch: LayoutPatch) -> tuple[SceneSpec, tuple[str, ...]]:
     """Apply a patch to a scene, and snap the objects onto their supports.
 
     Args:
         scene: the composed scene.
         patch: the edits.
-        gap: clearance under snapped objects [m].
 
     Returns:
         The scene, and the names of objects and joints in the patch that the scene does not contain.
@@ -99,7 +96,7 @@ def apply_layout(
         )
     from .on_supports import snap
 
-    return snap(scene.model_copy(update={"objects": tuple(objects)}), gap), tuple(stale)
+    return snap(scene.model_copy(update={"objects": tuple(objects)})), tuple(stale)
 
 
 def kept_layout(scene: SceneSpec, tree: SceneTree, names: Collection[str]) -> LayoutPatch:

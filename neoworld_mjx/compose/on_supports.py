@@ -8,9 +8,9 @@ from ..physics.scene_arrays import snapped_heights
 from ..spec import SceneSpec, bounds
 
 
-def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
-    """Place every object on the surface under its footprint, with a clearance of `gap` [m]."""
-    arrangement = arrange(scene, gap=gap)
+def snap(scene: SceneSpec) -> SceneSpec:
+    """Place every object on the surface under its footprint, with a clearance of 0.1 mm."""
+    arrangement = arrange(scene)
     z = snapped_heights(arrangement, Layout.zero(1, len(scene.objects)))[0]
     objects = [
         obj.model_copy(update={"z": float(h)}) if flag else obj
@@ -19,7 +19,7 @@ def snap(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     return scene.model_copy(update={"objects": tuple(objects)})
 
 
-def put_down(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
+def put_down(scene: SceneSpec) -> SceneSpec:
     """Place the objects of an aligned scene on the surfaces under them; see `snap`.
 
     An object keeps its height if the surface under it is at another level than the one that it
@@ -27,7 +27,7 @@ def put_down(scene: SceneSpec, gap: float = 1e-4) -> SceneSpec:
     hole by a millimeter stays in the hole: settling moves it out of the wall.
     """
     objects = []
-    for item, snapped in zip(scene.objects, snap(scene, gap).objects, strict=True):
+    for item, snapped in zip(scene.objects, snap(scene).objects, strict=True):
         size = float(np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state))))
         near = abs(snapped.z - item.z) <= VERTICAL[0] * size + VERTICAL[1]
         objects.append(snapped if near else item)

@@ -2,8 +2,6 @@
 
 from typing import Literal
 
-from pydantic import model_validator
-
 from ..options import Options, PaperDifference, option
 
 Language = Literal["sdk", "blender"]
@@ -119,13 +117,6 @@ class VerifyOptions(JointSweepOptions):
         unit="N s/kg",
         ge=0,
     )
-    push_duration_s: float = option(
-        0.1,
-        "Duration of the force that applies the impulse; at most half of `duration_s`.",
-        unit="s",
-        gt=0,
-        le=50,
-    )
     max_drift_m: float = option(0.01, "Maximum displacement in a scenario.", unit="m", gt=0)
     max_tilt_deg: float = option(5.0, "Maximum rotation in a scenario.", unit="deg", gt=0)
     rounds: int = option(
@@ -149,15 +140,6 @@ class VerifyOptions(JointSweepOptions):
             "always", "Calls about objects that clearly pass find no faults."
         ),
     )
-
-    @model_validator(mode="after")
-    def _check_push(self) -> "VerifyOptions":
-        if self.push_duration_s > self.duration_s / 2:
-            raise ValueError(
-                f"push_duration_s: must be at most half of duration_s ({self.duration_s / 2:g}), "
-                f"got {self.push_duration_s:g}"
-            )
-        return self
 
 
 class AlignOptions(Options):
@@ -237,12 +219,6 @@ class ComposeOptions(Options):
             False,
             "Scores by a model and the report compare rendered images with the photograph.",
         ),
-    )
-    gap_m: float = option(
-        1e-4,
-        "Clearance between an object and the surface onto which it is snapped.",
-        unit="m",
-        ge=0,
     )
 
 

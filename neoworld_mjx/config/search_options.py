@@ -32,8 +32,7 @@ class CEMOptions(Options):
     hold_resting: bool = option(
         True,
         "Fix the objects that rest in the settled initial layout, so that only the other objects, "
-        "and the objects that these support, move. If the search starts at another layout than the "
-        "composed scene, objects that rest are free, but not perturbed. "
+        "and the objects that these support, move. "
         "With further reward terms, scores by a model, or an optimizer that is passed from Python, "
         "all objects move.",
         difference=PaperDifference(
@@ -210,9 +209,8 @@ class RefineOptions(Options):
 
     optimizer: str = option(
         "cem",
-        "Optimizer: cem, random, evosax:STRATEGY such as evosax:CMA_ES, or the import path "
-        '"package.module:function" of a function that builds an optimizer from the scene and the '
-        "options `cem`. STRATEGY is distribution-based; evosax is in the extra `baselines`.",
+        'Optimizer: cem, random, or the import path "package.module:function" of a function that '
+        "builds an optimizer from the scene and the options `cem`.",
     )
     cem: CEMOptions = CEMOptions()
     reward: RewardOptions = RewardOptions()

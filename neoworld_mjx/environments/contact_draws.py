@@ -140,7 +140,9 @@ class SceneContacts:
                     WALL_M * point.share * np.outer(self.on_wall[:, point.object], gap.normal[:2])
                 )
         by_normals = rows.jacobian[:, : u.size] @ self.to_unknowns
-        return rows.gap, np.concatenate([by_normals, by_wall.reshape(len(gaps), -1)], axis=1)
+        return rows.gap, np.concatenate(
+            [by_normals, by_wall.reshape(len(gaps), 2 * len(self.walls))], axis=1
+        )
 
     def nearest(self, drawn: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
         """Return the nearest draw with contacts, on a path from the scene, which has them."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError, choices
 from ..export.link_frames import Frame, frames
 from ..export.write_drives import Drive, drives
+from ..export.write_mjcf import add_frames
 from ..physics.array_types import AnyArray
 from ..physics.gripper import CLOSED_M, OPENING_M, PREFIX, Gripper, attach_gripper
 from ..physics.layout import Layout
@@ -29,7 +30,7 @@ from ..physics.model_fields import model_fields
 from ..physics.posterior import pose_factor
 from ..spec import SceneObject, SceneSpec, bounds, link_poses, read_scene, world_poses
 from ..spec.correlation import EACH
-from ..spec.pose import Pose, from_matrix, rotate
+from ..spec.pose import Pose, from_matrix, pose, quat_mul, rotate
 from .arm import Arm, Control, SceneState, compiled_arm
 from .robot_model import attach_robot, read_robot
 from .robots import PREFIX as ROBOT
@@ -124,6 +125,9 @@ class ResetNoise:
     included. At 1, the noise has the standard deviations and correlations that the photograph
     leaves, as the draws of `neoworld_mjx.sample`. A round object is not turned, because every
     heading looks the same. Sizes do not vary."""
+    camera: float = 0.0
+    """Factor of the noise of the camera in pictures, at 1 as the photograph leaves it. It is drawn
+    together with `photo`, so both at 1 have the correlations of the estimate."""
 
 
 class InitialState(NamedTuple):
@@ -133,6 +137,8 @@ class InitialState(NamedTuple):
     body_pos: Float[AnyArray, "nbody 3"]
     """Position of each body in its parent body [m]; noise moves the roots of fixed objects."""
     body_quat: Float[AnyArray, "nbody 4"]
+    camera: Float[AnyArray, " 4"]
+    """Change of the camera of pictures; see `posterior.Draws.camera`."""
 
 
 @dataclass(frozen=True)
@@ -244,11 +250,16 @@ class ControlledScene:
         half = xp.where(a[-1] > 0, a[-1] / 2, CLOSED_M)
         return xp.concatenate([a[:-1], half[None], half[None]])
 
+    @property
+    def robot_root(self) -> int:
+        """Index of the robot's first body."""
+        return int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
+
     @cached_property
-    def initial_root(self) -> tuple[NDArray, NDArray]:
-        """Pose of the robot's first body as it was mounted."""
-        body = int(self.model.body_rootid[self.model.site(f"{ROBOT}-{TOOL}").bodyid[0]])
-        return self.model.body_pos[body].copy(), self.model.body_quat[body].copy()
+    def initial_root(self) -> Pose:
+        """Pose of that body as it was mounted."""
+        at = self.model.body(self.robot_root)
+        return pose(at.pos.copy(), at.quat.copy())
 
     def tool(self, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
         """Return the position [3] m and orientation [4] of the tool of the gripper or robot.
@@ -261,6 +272,31 @@ class ControlledScene:
             raise SpecError(f"scene {self.scene.spec.name} has no gripper and no robot")
         hand = self.model.body(f"{PREFIX}-hand").id
         return state.xpos[hand], state.xquat[hand]
+
+    @cached_property
+    def sites(self) -> tuple[str, ...]:
+        """Names of the handles and sites of the scene and the robot."""
+        return tuple(self.model.site(k).name for k in range(self.model.nsite))
+
+    def site(self, state: SceneState, name: str, xp: Any = np) -> tuple[Any, Any]:
+        """Return the position [3] m and orientation [4] of a handle or site.
+
+        Args:
+            state: the state.
+            name: one of `sites`, such as cabinet-drawer_handle.
+            xp: `numpy`, or `jax.numpy` for traced arrays.
+
+        Raises:
+            SpecError: there is no site with this name.
+        """
+        if name not in self.sites:
+            where = f"scene {self.scene.spec.name}: site"
+            raise SpecError(f"{where}: {choices(name, sorted(self.sites))}")
+        site = self.model.site(name)
+        body = int(self.model.site_bodyid[site.id])
+        quat = state.xquat[body]
+        pos = state.xpos[body] + rotate(quat, xp.asarray(site.pos), xp)
+        return pos, quat_mul(quat, xp.asarray(site.quat), xp)
 
     def opening(self, state: SceneState, xp: Any = np) -> Any:
         """Return how far the fingers of the gripper or robot are open, from 0 to 1."""
@@ -311,12 +347,15 @@ class ControlledScene:
         pos, quat = (jnp.asarray(x) for x in (self.model.body_pos, self.model.body_quat))
         keys = jax.random.split(key, 4)
         count, scene = len(self.names), self.scene
-        if noise.xy or noise.yaw or noise.photo:
+        camera = jnp.zeros(EACH)
+        if noise.xy or noise.yaw or noise.photo or noise.camera:
             own = noise.xy * jax.random.normal(keys[0], (1, count, 2)) * scene.movable[:, None]
             turn = noise.yaw * jax.random.normal(keys[1], (1, count)) * scene.movable
             factor = self.pose_factor
-            drawn = factor @ jax.random.normal(keys[3], (factor.shape[1],)) * noise.photo
-            drawn = drawn[EACH:].reshape(1, count, EACH) * scene.optimised[:, None]
+            values = factor @ jax.random.normal(keys[3], (factor.shape[1],))
+            camera = noise.camera * values[:EACH]
+            drawn = noise.photo * values[EACH:].reshape(1, count, EACH)
+            drawn = drawn * scene.optimised[:, None]
             layout = Layout(own + drawn[..., :2], turn + drawn[..., 2], jnp.zeros((1, count)))
             placed = scene.place(layout)
             scene_qpos = model_fields(scene, placed)["qpos"][0]
@@ -333,7 +372,7 @@ class ControlledScene:
             sampled = qpos[self.qpos_of_joints] + draw
             clipped = jnp.where(limited, jnp.clip(sampled, low, high), sampled)
             qpos = qpos.at[self.qpos_of_joints].set(clipped)
-        return InitialState(qpos, pos, quat)
+        return InitialState(qpos, pos, quat, camera)
 
 
 class SceneOptions(TypedDict, total=False):
@@ -401,6 +440,8 @@ def controlled_scene(
     model = to_mjspec(spec, visual=visual, timestep=timestep)
     for key in list(model.keys):
         model.delete(key)
+    for item in spec.objects:
+        add_frames(model, item.name, item.spec)
     if not mjx:
         model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.option.impratio = IMPRATIO

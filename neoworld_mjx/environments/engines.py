@@ -160,13 +160,13 @@ class MjxSteps:
 
     name = "mjx"
 
-    def __init__(self, controlled: ControlledScene) -> None:
+    def __init__(self, model: mujoco.MjModel, initial_qpos: np.ndarray) -> None:
         """Put the model on the device.
 
         Raises:
             EngineError: MJX cannot simulate the scene.
         """
-        self._model = put_compiled(controlled.model, controlled.initial_qpos)
+        self._model = put_compiled(model, initial_qpos)
         self._data = jax.tree.map(jnp.asarray, make_data(self._model))
 
     def step(self, fields: Fields, state: WorldState, ctrl: Array, steps: int) -> WorldState:
@@ -205,13 +205,16 @@ def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEng
     Raises:
         EngineError: the engine is unknown, cannot run here, or cannot simulate the scene.
     """
+    model = copy.copy(controlled.model)
+    # A `WorldState` has no values of sensors.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
     if engine == "native":
-        return NativeSteps(controlled.model)
+        return NativeSteps(model)
     if engine == "warp":
         warp_device()
-        return WarpSteps(controlled.model, worlds, *capacity(controlled))
+        return WarpSteps(model, worlds, *capacity(controlled))
     if engine == "mjx":
-        return MjxSteps(controlled)
+        return MjxSteps(model, controlled.initial_qpos)
     raise EngineError(f"engine: {choices(engine, sorted(ENGINES))}")
 
 

@@ -1,27 +1,33 @@
-"""Gymnasium environment of a scene, simulated by C MuJoCo."""
+"""Gymnasium environments of a scene, single and in batches, simulated by C MuJoCo."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError, SpecError, choices
+from ..estimate.unknowns import Unknowns
 from ..render.scene_images import scene_view
 from ..spec import SceneSpec
 from . import cameras
 from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .mjx_environment import scene_of, with_four_arguments
+from .mjx_environment import EnvState, MjxEnv, mjx_env, scene_of
+from .own_reward import Reward, with_four_arguments
+from .samples import moved_camera
 from .task import SceneTask, Task
 
 try:
     import gymnasium
     from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 except ImportError:
     raise EngineError(
         "gym_env needs the extra gym (gymnasium is missing): uv sync --inexact --extra gym"
@@ -35,8 +41,6 @@ Observation = dict[str, NDArray]
 - gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m];
 - picture [height, width, 3], if images are requested.
 """
-Reward = Callable[..., float]
-"""Function of the observation, or of (observation, action, state, previous state)."""
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
@@ -69,16 +73,9 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self._noise, self._picture = noise, picture
         self._substeps = max(round(control_s / self.model.opt.timestep), 1)
         self._horizon, self._steps = horizon, 0
-        low, high = controlled.action_bounds
-        self.action_space = spaces.Box(low, high, dtype=np.float32)
-        start = scene_state(self.data)
-        space: dict[str, spaces.Space[Any]] = {
-            name: _unbounded(*value.shape) for name, value in controlled.observe(start).items()
-        }
-        if picture is not None:
-            space["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
-        # The declared type of Gymnasium is invariant.
-        self.observation_space: Any = spaces.Dict(space)
+        self._camera = controlled.scene.spec.camera
+        # The declared types of Gymnasium are invariant.
+        self.action_space, self.observation_space = _spaces(controlled, picture)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -89,8 +86,11 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         key = jax.random.key(int(self.np_random.integers(2**31)))
         start = self.controlled.initial_qpos
         if self._noise != ResetNoise():
-            start, pos, quat = self.controlled.reset_state(key, self._noise)
+            start, pos, quat, moved = self.controlled.reset_state(key, self._noise)
             self.model.body_pos[:], self.model.body_quat[:] = pos, quat
+            if self._noise.camera and (camera := self.controlled.scene.spec.camera) is not None:
+                unknowns = Unknowns.of(self.controlled.scene.spec, camera)
+                self._camera = moved_camera(unknowns, np.asarray(moved))
         self.data.qpos[:] = start
         self.data.ctrl[:] = self.controlled.initial_ctrl
         mujoco.mj_forward(self.model, self.data)
@@ -121,7 +121,8 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
     def render(self) -> NDArray:
         """Return an image of the current state, with the robot, shape [height, width, 3]."""
         height, width = self._picture or (320, 480)
-        view = scene_view(self.controlled.scene.spec, width=width, height=height)
+        spec = self.controlled.scene.spec.model_copy(update={"camera": self._camera})
+        view = scene_view(spec, width=width, height=height)
         image = cameras.picture(self.controlled, self.data, view, width=width, height=height)
         return np.asarray(image.color)
 
@@ -132,8 +133,80 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         return result
 
 
-def _unbounded(*shape: int) -> spaces.Box:
-    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
+    """Batch of environments whose worlds C MuJoCo steps in threads.
+
+    A world that ended restarts in the next step, whose action it ignores (`NEXT_STEP`). With a
+    task, infos have `success` and `progress`, and always `diverged`, each of shape [world].
+    """
+
+    def __init__(self, env: MjxEnv, num_envs: int, horizon: int) -> None:
+        self.env, self.num_envs, self._horizon = env, num_envs, horizon
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.single_action_space, self.single_observation_space = _spaces(env.controlled, None)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._restart, self._advance = (jax.jit(jax.vmap(f)) for f in (env.reset, env.step))
+        self._state: EnvState | None = None
+        self._ended = np.ones(num_envs, bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start all episodes; the same seed gives the same initial states."""
+        super().reset(seed=seed)
+        self._state = self._restart(self._keys())
+        self._ended[:] = False
+        return self._observed(), self._infos()
+
+    def step(self, actions: NDArray) -> tuple[Observation, NDArray, NDArray, NDArray, dict]:
+        """Apply actions, clipped to their bounds, for one control interval.
+
+        Raises:
+            SpecError: the environment was not reset.
+        """
+        if self._state is None:
+            raise SpecError("reset the environment before its first step")
+        after = self._advance(self._state, jnp.asarray(actions, jnp.float32))
+        if self._ended.any():
+            pick = lambda old, new: jnp.where(
+                jnp.asarray(self._ended).reshape(-1, *[1] * (new.ndim - 1)), old, new
+            )
+            after = jax.tree.map(pick, self._restart(self._keys()), after)
+        self._state = after
+        reward = np.where(self._ended, 0.0, np.asarray(after.reward, float))
+        terminated = np.asarray(after.done) > 0
+        truncated = np.asarray(after.info["step"]) >= self._horizon
+        self._ended = terminated | truncated
+        return self._observed(), reward, terminated, truncated, self._infos()
+
+    def _keys(self) -> jax.Array:
+        return jax.random.split(jax.random.key(int(self.np_random.integers(2**31))), self.num_envs)
+
+    def _observed(self) -> Observation:
+        assert self._state is not None
+        return {name: np.array(value) for name, value in self._state.obs.items()}
+
+    def _infos(self) -> dict[str, Any]:
+        assert self._state is not None
+        infos = {name: np.array(value) for name, value in self._state.metrics.items()}
+        infos["diverged"] = np.asarray(self._state.done) > 0
+        if "success" in infos:
+            infos["success"] = infos["success"] > 0
+        # Gymnasium marks the worlds for which an entry holds.
+        return infos | {f"_{name}": np.ones(self.num_envs, bool) for name in infos}
+
+
+def _spaces(controlled: ControlledScene, picture: tuple[int, int] | None) -> tuple[Any, Any]:
+    """Return the spaces of actions and observations."""
+    low, high = controlled.action_bounds
+    start = controlled.observe(scene_state(mujoco.MjData(controlled.model)))
+    observed: dict[str, spaces.Space[Any]] = {
+        name: spaces.Box(-np.inf, np.inf, value.shape, np.float32) for name, value in start.items()
+    }
+    if picture is not None:
+        observed["picture"] = spaces.Box(0, 255, (*picture, 3), np.uint8)
+    return spaces.Box(low, high, dtype=np.float32), spaces.Dict(observed)
 
 
 def gym_env(
@@ -158,8 +231,8 @@ def gym_env(
         task: a task, or a sentence such as "open the top drawer". It gives the initial state, the
             reward, and `success` and `progress` in the info of each step.
         without: objects that are left out.
-        reward: function of the observation, or of (observation, action, state, previous state); if
-            None, the reward is that of the task, or 0.
+        reward: function of the observation, or of (obs, action, data, previous), see
+            `own_reward.Reward`; if None, the reward is that of the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
         picture: height and width of the images in observations [px]; rendering an image takes about
             a second. If None, observations contain no image.
@@ -191,3 +264,37 @@ def gym_env(
         control_s=control_s,
         horizon=horizon or (500 if task is None else task.horizon),
     )
+
+
+def vector_env(
+    run: Path | str | SceneSpec,
+    *,
+    num_envs: int = 64,
+    horizon: int | None = None,
+    render_mode: str | None = None,
+    engine: str = "native",
+    **options: Any,
+) -> SceneVectorEnv:
+    """Return a batch of environments of a scene with Gymnasium's vector API.
+
+    `gymnasium.make_vec("neoworld_mjx.environments:neoworld/Scene-v0", num_envs=64, run=...)` takes
+    the same.
+
+    Args:
+        run: the folder, file or scene.
+        num_envs: number of worlds.
+        horizon: number of steps after which an episode is truncated; if None, that of the task, or
+            500.
+        render_mode: None; batches have no pictures.
+        engine: native, which uses all cores, warp or mjx.
+        options: task, without, reward, noise, variants, control_s, and the scene's, as in
+            `mjx_env`. JAX traces the reward.
+
+    Raises:
+        SpecError: as `gym_env`, or a picture is asked for.
+        EngineError: the engine cannot run here, or cannot simulate the scene.
+    """
+    if render_mode is not None or options.get("picture") is not None:
+        raise SpecError('batches have no pictures: pass vectorization_mode="async" to make_vec')
+    env = mjx_env(run, engine=engine, worlds=num_envs, **options)
+    return SceneVectorEnv(env, num_envs, horizon or (env.task.horizon if env.task else 500))

@@ -3,14 +3,14 @@
 The same pure functions run on C MuJoCo (in threads), MuJoCo Warp and MJX; see `engines`.
 """
 
-import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import mujoco
 from jaxtyping import Array, Float
 
 from ..errors import SpecError
@@ -19,6 +19,7 @@ from ..spec import SceneSpec, read_scene
 from .arm import scene_state
 from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
 from .engines import WorldState, initial_world, open_steps
+from .own_reward import Reward, traced_reward
 from .randomization import Variants
 from .reach import propose_mount
 from .simplified_scene import scene_without
@@ -27,9 +28,6 @@ from .task_words import task_of
 
 Observation = dict[str, Array]
 """Observations by name; see `ControlledScene.observe`."""
-Reward = Callable[..., Float[Array, ""]]
-"""Function of the observation, or of (observation, action, state, previous), where the last two are
-each a `SceneState`."""
 WORLDS = 4096
 """Number of worlds for which warp allocates memory, unless stated."""
 
@@ -69,8 +67,11 @@ class MjxEnv:
         control_s: float = 0.02,
     ) -> None:
         self.controlled, self.task = controlled, task
-        reward = task.reward if reward is None and task is not None else reward
-        self._reward = None if reward is None else with_four_arguments(reward)
+        self._reward = None if task is None else task.reward
+        if reward is not None:
+            state = scene_state(mujoco.MjData(controlled.model))
+            obs = controlled.observe(state)
+            self._reward = traced_reward(reward, obs, controlled.hold_action, state, state)
         self._noise, self._variants = noise or ResetNoise(), variants
         if variants is not None and self._noise != ResetNoise():
             raise SpecError("an environment takes samples or noise, not both")
@@ -95,7 +96,7 @@ class MjxEnv:
         """
         if self._variants is not None:
             return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
-        qpos, pos, quat = self.controlled.reset_state(key, self._noise)
+        qpos, pos, quat, _ = self.controlled.reset_state(key, self._noise)
         moved = self._noise.photo and len(self.controlled.fixed)
         fields = {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
         return self._start(jnp.asarray(qpos), fields if moved else {})
@@ -153,28 +154,6 @@ class MjxEnv:
         return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, metrics, info)
 
 
-def with_four_arguments(reward: Callable[..., Any]) -> Callable[[Any, Any, Any, Any], Any]:
-    """Return a reward of (observation, action, state, previous); it may take only the first.
-
-    Raises:
-        SpecError: the function takes neither one nor four arguments.
-    """
-    try:
-        signature = inspect.signature(reward)
-    except (TypeError, ValueError):  # a built-in function
-        return lambda obs, action, state, previous: reward(obs)
-    for count in (4, 1):
-        try:
-            signature.bind(*range(count))
-        except TypeError:
-            continue
-        return reward if count == 4 else lambda obs, action, state, previous: reward(obs)
-    raise SpecError(
-        f"reward: takes {signature}; it must take the observation, or (observation, action, "
-        "state, previous)"
-    )
-
-
 def scene_of(
     run: Path | str | SceneSpec,
     task: Task | str | None,
@@ -212,8 +191,8 @@ def mjx_env(
         task: a task, or a sentence such as "open the top drawer". It gives the initial state, the
             reward, and `success` and `progress` in the metrics of each state.
         without: objects that are left out.
-        reward: function that JAX can trace, of the observation, or of (observation, action, state,
-            previous state); if None, the reward is that of the task, or 0.
+        reward: function that JAX can trace, see `own_reward.Reward`; if None, the reward is that of
+            the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
         variants: scenes of which each reset takes one, instead of noise; see `variants_of`.
         control_s: duration of each action [s].

@@ -53,6 +53,8 @@ class About(BaseModel):
     """Control steps of training."""
     samples: int = Field(ge=0)
     """Draws of the scene in training; 0 if there was only the scene itself."""
+    reward: str = Field(default="", max_length=200)
+    """Name of the user's reward; empty for that of the task. Nothing imports it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,14 +135,14 @@ def _best_reach(
     task: Task, controlled: ControlledScene, data: mujoco.MjData, mount: Mount
 ) -> Reach:
     """Return the best of the ways to hold the object."""
-    root = controlled.model.body_rootid[controlled.model.site(f"{PREFIX}-tool").bodyid[0]]
+    root = controlled.robot_root
     _widen(controlled.model)
     # The frame of the mount is merged into the pose of the robot's root.
     assert controlled.arm is not None
     moved = pose(mount.pos, mount.quat).then(
         pose(controlled.arm.mount.pos, controlled.arm.mount.quat)
         .inverse()
-        .then(pose(controlled.initial_root[0], controlled.initial_root[1]))
+        .then(controlled.initial_root)
     )
     controlled.model.body_pos[root], controlled.model.body_quat[root] = moved
     best: Reach | None = None

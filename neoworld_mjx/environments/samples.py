@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
@@ -19,9 +21,9 @@ from ..errors import RunError, SpecError
 from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
 from ..measure import SceneMeasure, passes, rest_and_measure, resting, scene_checks
+from ..physics.colliders import pair_distance
 from ..physics.layout import Layout, Poses, Variation
 from ..physics.model import SceneModel, compile_scene
-from ..physics.placed import pair_gaps
 from ..physics.posterior import Draws, PhysicalPrior, draw, draw_again
 from ..render import visible_surface
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
@@ -109,7 +111,7 @@ class SceneSamples:
     def scene(self, k: int) -> SceneSpec:
         """Return the scene of a draw, kept or not, with its masses, frictions and camera."""
         placed = self.model.apply(self.layouts, k, self.poses)
-        varied = _with_variation(self.model, placed, self.poses.variation, k)
+        varied = _with_variation(self.model, placed, self.poses, k)
         return self.model.scene_at(self.poses, k, varied).model_copy(
             update={"camera": self.cameras[k]}
         )
@@ -129,6 +131,7 @@ class SceneSamples:
             "friction": v.friction,
             "joint_friction": v.joint_friction,
             "joint_damping": v.joint_damping,
+            "opening": v.opening,
             "weights": self.weights,
             "stands": self.stands,
             "shift_px": self.shift_px,
@@ -158,7 +161,8 @@ def sample(
     """Draw scenes that a photograph allows.
 
     Poses, sizes and the camera are drawn from the estimate about the scene, with its
-    correlations and contacts; densities, frictions and losses of joints are drawn from priors.
+    correlations and contacts; densities, frictions, losses and openings of joints are drawn from
+    priors.
     Every draw is placed on its supports, settled and checked like a refined scene, all in one batch
     of C MuJoCo. The objects that are the reason of a refusal are drawn again.
 
@@ -241,7 +245,7 @@ def _settled(
     start = model.place_exactly(layouts)
     start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
     poses, measures = rest_and_measure(model, start, o, stop_early=True)
-    cameras = [_moved_camera(contacts.unknowns, change) for change in placed.camera]
+    cameras = [moved_camera(contacts.unknowns, change) for change in placed.camera]
     shift, diagonal = _box_shifts(model, poses, cameras)
     excess = shift - max_px - MAX_SHARE * diagonal
     rests = np.array([resting(model.spec, measure, o) for measure in measures])
@@ -259,9 +263,14 @@ def _touching(model: SceneModel) -> Bool[np.ndarray, "object object"]:
 
     Fixed supports link nothing.
     """
-    fixed = np.array([item.environment for item in model.spec.objects])
-    near = np.asarray(pair_gaps(model, model.poses()))[0] < TOUCH_M
-    near[fixed] = near[:, fixed] = False
+    m, data = model.static.mjm, mujoco.MjData(model.static.mjm)
+    data.qpos[:] = model.static.start
+    mujoco.mj_kinematics(m, data)
+    geoms = [np.flatnonzero(model.static.geom_object == k) for k in range(len(model.names))]
+    near = np.zeros((len(geoms), len(geoms)), bool)
+    free = [k for k, item in enumerate(model.spec.objects) if not item.environment]
+    for i, j in combinations(free, 2):
+        near[i, j] = pair_distance(m, data, geoms[i], geoms[j], reach=TOUCH_M) < TOUCH_M
     _, group = connected_components(near, directed=False)
     return group[:, None] == group
 
@@ -287,8 +296,8 @@ def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) ->
     return f"{names[worst]} leaves its pixels" if excess[worst] > 0 else ""
 
 
-def _moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
-    """Return the camera of a draw; see `posterior.Draws.camera`.
+def moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
+    """Return the camera of a draw, None without a camera; see `posterior.Draws.camera`.
 
     A change of the focal length also moves the camera along its view, so that the middle of the
     scene keeps its size in the image. The alignment moves the scene instead of the camera.
@@ -338,12 +347,10 @@ def _box(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, 
     return np.asarray(box).ravel()
 
 
-def _with_variation(
-    model: SceneModel, scene: SceneSpec, variation: Variation | None, k: int
-) -> SceneSpec:
-    """Return a scene with the physical quantities of a draw."""
-    assert variation is not None
-    one = jax.tree.map(lambda leaf: np.asarray(leaf)[k], variation)
+def _with_variation(model: SceneModel, scene: SceneSpec, poses: Poses, k: int) -> SceneSpec:
+    """Return a scene with the physical quantities and openings of a draw."""
+    assert poses.variation is not None
+    one = jax.tree.map(lambda leaf: np.asarray(leaf)[k], poses.variation)
     objects = []
     for n, item in enumerate(scene.objects):
         joints = {
@@ -352,7 +359,12 @@ def _with_variation(
             if model.static.joint_object[j] == n
         }
         spec = _varied_object(item, float(one.mass[n]), float(one.friction[n]), one, joints)
-        objects.append(item.model_copy(update={"spec": spec}))
+        state = dict(item.joint_state)
+        for name in filter(lambda name: one.opening[joints[name]], joints):
+            slides = model.static.joint_slides[joints[name]]
+            size = float(np.asarray(poses.scale)[k, n]) if slides else 1.0
+            state[name] = state.get(name, 0.0) + size * float(one.opening[joints[name]])
+        objects.append(item.model_copy(update={"spec": spec, "joint_state": state}))
     return scene.model_copy(update={"objects": tuple(objects)})
 
 

@@ -21,6 +21,7 @@ from ..spec import SceneSpec, read_scene
 from . import ppo
 from .controlled_scene import ControlledScene, controlled_scene
 from .mjx_environment import MjxEnv
+from .own_reward import Reward, reward_name
 from .policy import About, Policy, Setting
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
@@ -106,6 +107,7 @@ def train(
     *,
     training: Training | None = None,
     options: ppo.PpoOptions | None = None,
+    reward: Reward | None = None,
     resume: bool = False,
 ) -> Policy:
     """Train a policy and write it to a folder.
@@ -119,6 +121,7 @@ def train(
         out: folder of the policy.
         training: duration, draws and seed.
         options: settings of the optimization; if None, defaults for the engine.
+        reward: function that JAX can trace, see `own_reward.Reward`; if None, that of the task.
         resume: continue from the checkpoint in the folder.
 
     Raises:
@@ -137,7 +140,7 @@ def train(
         script = arm_script(task, setting.robot, setting.mount)
     return train_task(
         task, setting, out, variants=variants, script=script, training=t, options=options,
-        resume=resume,
+        reward=reward, resume=resume,
     )  # fmt: skip
 
 
@@ -150,6 +153,7 @@ def train_task(
     script: Script | None = None,
     training: Training | None = None,
     options: ppo.PpoOptions | None = None,
+    reward: Reward | None = None,
     resume: bool = False,
 ) -> Policy:
     """Train a policy of a task as `train` does.
@@ -162,6 +166,7 @@ def train_task(
         script: motion along which half of the episodes start.
         training: duration and seed; the variants replace its draws.
         options: settings of the optimization; if None, defaults for the engine.
+        reward: as for `train`.
         resume: continue from the checkpoint in the folder.
     """
     t = training or Training()
@@ -175,6 +180,7 @@ def train_task(
     env = MjxEnv(
         task.controlled,
         task=task,
+        reward=reward,
         variants=variants,
         engine=engine,
         worlds=o.worlds,
@@ -185,7 +191,10 @@ def train_task(
     worlds, pool = ppo.open_worlds(policy_env, o, a)
     learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])
     learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
-    same = json.dumps([setting.model_dump(mode="json"), dataclasses.asdict(o), pool.obs.shape[-1]])
+    own = "" if reward is None else reward_name(reward)
+    same = json.dumps(
+        [setting.model_dump(mode="json"), dataclasses.asdict(o), pool.obs.shape[-1], own]
+    )
     curve: list[dict[str, float]] = []
     if resume:
         learner, curve = _read_checkpoint(out, learner, same)
@@ -196,6 +205,7 @@ def train_task(
         seed=t.seed,
         steps=round(float(learner.steps) * 1000),
         samples=t.samples,
+        reward=own[:200],
     )
     before = curve[-1]["seconds"] if curve else 0.0
     snapshots = [s for s in sorted(t.snapshots) if not (out / snapshot_name(s)).exists()]
@@ -278,7 +288,9 @@ def _read_checkpoint(
     path = out / CHECKPOINT
     arrays = read_arrays(path, SpecError)
     if str(arrays.get("settings", "")) != same:
-        raise SpecError(f"{path} is of another task, robot or settings: train into another folder")
+        raise SpecError(
+            f"{path} is of another task, robot, reward or settings: train into another folder"
+        )
     plain = learner._replace(key=jax.random.key_data(learner.key))
     leaves, tree = jax.tree.flatten(plain)
     found = [arrays.get(f"leaf_{k}") for k in range(len(leaves))]

@@ -1,24 +1,22 @@
 """Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
 
-import copy
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
-from .arm import scene_state
 from .mjx_environment import MjxEnv
 from .policy import Policy, Setting
-from .policy_environment import PolicyEnv, TaskState, policy_action, policy_observation
+from .policy_environment import PolicyEnv, TaskState
 from .randomization import Variants
 from .task import SceneTask
 from .training import scene_variants, task_scene
@@ -86,7 +84,7 @@ def evaluate(
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
-    ends = episodes(task, policy.about.setting, variants)(policy)
+    ends = last(episodes(task, policy.about.setting, variants)(policy))
     lost = np.asarray(ends.env.done) > 0
     success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
     progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
@@ -95,11 +93,11 @@ def evaluate(
 
 def episodes(
     task: SceneTask, setting: Setting, variants: Variants | None
-) -> Callable[[Policy], TaskState]:
+) -> Callable[[Policy], Iterator[TaskState]]:
     """Return a function that runs a policy once in each variant, or in the scene itself.
 
-    It returns the states at the ends of the episodes, and raises SpecError if the policy does not
-    fit the scene. It compiles once for all policies.
+    It yields the first states of the episodes, and those after each action, and raises SpecError if
+    the policy does not fit the scene. It compiles once for all policies.
     """
     env = MjxEnv(
         task.controlled,
@@ -115,9 +113,10 @@ def episodes(
         start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
     step = jax.jit(jax.vmap(policy_env.step))
 
-    def ends(policy: Policy) -> TaskState:
+    def states_of(policy: Policy) -> Iterator[TaskState]:
         check_fit(policy, start.obs.shape[-1], policy_env.action_size)
         states = start
+        yield states
         for _ in range(setting.horizon):
             before = states
             action = policy.act(np.asarray(states.obs)).astype(np.float32)
@@ -125,9 +124,14 @@ def episodes(
             # A world that has diverged stays so.
             done = jnp.maximum(states.env.done, before.env.done)
             states = eqx.tree_at(lambda s: s.env.done, states, done)
-        return states
+            yield states
 
-    return ends
+    return states_of
+
+
+def last(states: Iterator[TaskState]) -> TaskState:
+    """Return the states at the ends of episodes."""
+    return deque(states, maxlen=1)[0]
 
 
 def check_fit(policy: Policy, observations: int, actions: int) -> None:
@@ -138,28 +142,3 @@ def check_fit(policy: Policy, observations: int, actions: int) -> None:
             f"the policy takes {own[0]} observations and gives {own[1]} actions; the scene has "
             f"{observations} and {actions}: it was trained in another scene or with another robot"
         )
-
-
-def episode(
-    policy: Policy, task: SceneTask, qpos: Float[np.ndarray, " nq"] | None = None
-) -> list[mujoco.MjData]:
-    """Return the states of an episode in one scene, one for each action and the first."""
-    controlled, setting = task.controlled, policy.about.setting
-    model = controlled.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = controlled.initial_qpos if qpos is None else qpos
-    data.ctrl[:] = controlled.initial_ctrl
-    mujoco.mj_forward(model, data)
-    steps = max(round(setting.control_s / model.opt.timestep), 1)
-    frames = [copy.copy(data)]
-    for _ in range(setting.horizon):
-        state = scene_state(data)
-        obs = policy_observation(task, state, np)
-        if len(frames) == 1:
-            check_fit(policy, len(obs), len(controlled.hold_action))
-        action = policy_action(controlled, state, policy.act(obs), np)
-        data.ctrl[:] = controlled.controls(np.asarray(action, np.float32), state)
-        mujoco.mj_step(model, data, steps)
-        mujoco.mj_kinematics(model, data)
-        frames.append(copy.copy(data))
-    return frames

@@ -4,8 +4,10 @@ import io
 import math
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
+from jaxtyping import Array
 from PIL import Image
 
 from ..errors import SpecError, choices
@@ -17,7 +19,7 @@ from .cameras import picture
 from .policy import Policy
 from .task import SceneTask, StateView
 from .training import task_scene
-from .trials import episode
+from .trials import episodes
 
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 EVERY = 3
@@ -52,8 +54,8 @@ def play(
     setting = policy.about.setting
     # A flying gripper has no geoms but those that collide.
     task = task_scene(scene, setting, visual=setting.robot is not None)
-    states = episode(policy, task)
-    shown = states[::EVERY]
+    states = [jax.tree.map(lambda leaf: leaf[0], s) for s in episodes(task, setting, None)(policy)]
+    shown = [_posed(task.controlled.model, s.env.data.qpos) for s in states[::EVERY]]
     view = _view(task, shown, size, azimuth)
     draw = lambda data: picture(
         task.controlled, data, view, width=size[1], height=size[0], shadows=False
@@ -69,7 +71,15 @@ def play(
         loop=0,
     )
     write_output(path, buffer.getvalue(), SpecError)
-    return bool(task.success(scene_state(states[-1])))
+    return bool(states[-1].metrics["success"])
+
+
+def _posed(model: mujoco.MjModel, qpos: Array) -> mujoco.MjData:
+    """Return data with the poses of bodies at joint positions [nq]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def _view(

@@ -53,7 +53,7 @@ of the log scale. They were set on the development half of the benchmark scenes.
 bench run coverage` counts the 90 % intervals that contain the true value."""
 
 
-BOXES = AlignmentStage(8, COARSE_PX)
+BOXES = AlignmentStage(8, COARSE_PX, depth_reach=0.1)
 """Steps by the 2D boxes alone, from the parsed places."""
 STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
@@ -122,22 +122,40 @@ def align_to_boxes(
     """
     if scene.camera is None:
         return Alignment(scene)
-    known = Evidence(camera=None if evidence is None else evidence.camera)
-    # Boxes cannot tell a wrong field of view from wrong distances.
-    unknowns = Unknowns.of(scene, scene.camera, held=(ROLL, FOCAL))
+    given = evidence or Evidence()
+    depth = given.depth if given.depth is not None and given.depth.kind == "metric" else None
+    known = Evidence(camera=given.camera, depth=depth, masks=None if depth is None else given.masks)
+    # Boxes cannot tell a wrong field of view from wrong distances, nor show the roll.
+    unknowns_of = partial(
+        Unknowns.of,
+        camera=scene.camera,
+        held=(ROLL, FOCAL) if depth is None else (FOCAL,),
+        rises=depth is not None,
+    )
+    unknowns = unknowns_of(scene)
     if not len(unknowns.free):
         return Alignment(scene)
     options = AlignOptions(contours=False, contacts=False)
     problem = AlignmentProblem(
-        unknowns, options, frozenset(measured), None, None, known, misjudged=False, boxes_only=True
+        unknowns,
+        options,
+        frozenset(measured),
+        None,
+        None,
+        known,
+        misjudged=False,
+        boxes_only=depth is None,
     )
     try:
+        problem = problem.measured(unknowns_of, supports=True)
         solution = _solution(problem, None, {COARSE_PX: [None]}, (BOXES,))
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=_failure(error))
     fitted = solution.fitted
     # Deviations by boxes alone are not calibrated.
-    return solution if fitted is None else replace(solution, scene=unknowns.scene_at(fitted.x))
+    if fitted is None:
+        return solution
+    return replace(solution, scene=fitted.unknowns.scene_at(fitted.x))
 
 
 def align_again(

@@ -21,6 +21,8 @@ from .lens import pinhole_of, undistorted_image
 from .mask_files import read_masks
 from .masks import Masks
 
+OWN_CAMERA = "the scene's file"
+"""Source of a camera that the user does not state."""
 MAX_VIEWS = 20
 """Largest number of further photographs."""
 
@@ -158,7 +160,11 @@ def _moved(stated: StatedEvidence, folder: Path) -> StatedEvidence:
 
 
 def evidence_of(
-    stated: StatedEvidence, photo: str, rgb: PhotoPixels, size: tuple[int, int]
+    stated: StatedEvidence,
+    photo: str,
+    rgb: PhotoPixels,
+    size: tuple[int, int],
+    own: FileCamera | None = None,
 ) -> Evidence:
     """Read the files of stated evidence, and check them against the photograph.
 
@@ -167,6 +173,7 @@ def evidence_of(
         photo: name of the photograph, which chooses among the images of a camera file.
         rgb: the photograph (sRGB), at any size.
         size: width and height of the upright photograph [px].
+        own: camera in the file of a scene, which completes the stated one.
 
     Returns:
         The evidence, without the photograph and without assets. Its images are those of `lens`, if
@@ -176,6 +183,8 @@ def evidence_of(
         EvidenceError: a file cannot be read, or contradicts the photograph.
     """
     camera, source = stated_camera(stated, photo)
+    if own is not None:
+        camera, source = (camera or FileCamera()).completed_by(own), source or OWN_CAMERA
     known, lens = (None, None) if camera is None else known_camera(camera, size, source)
     depth = None
     if stated.depth is not None:

@@ -1,7 +1,7 @@
 """Export of objects and scenes to MJCF, USD, URDF, SDF and glTF, and import of MJCF and URDF."""
 
 from .formats import export_object, export_scene, object_files, scene_files
-from .importing import import_mjcf, import_urdf
+from .importing import import_file
 from .link_frames import Frame, frames
 from .mechanism import Mechanism
 from .object_of_mechanism import Imported
@@ -17,8 +17,7 @@ __all__ = [
     "export_object",
     "export_scene",
     "frames",
-    "import_mjcf",
-    "import_urdf",
+    "import_file",
     "mjcf_text",
     "object_files",
     "read_mjcf",

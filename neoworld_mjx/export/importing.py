@@ -19,19 +19,21 @@ from ..spec import (
     SceneObject,
     SceneSpec,
 )
+from ..spec.base import Vec3
 from ..spec.pose import conjugate, from_matrix, from_yaw, quat_mul, yaw_of
 from .asset_files import read_xml
 from .gltf_file import GLTF
 from .load_mesh import SUFFIXES as MESHES
 from .mechanism import (
+    GRAVITY,
     Assembly,
     FileScene,
     gravity_notes,
     transformed,
 )
 from .object_of_mechanism import Imported, budget_of, to_object
-from .read_mesh_scene import POSES, MeshScene, read_gltf, read_mesh, read_mesh_scene
-from .read_mjcf import read_mjcf, read_mjcf_scene
+from .read_mesh_scene import POSES, read_gltf, read_mesh, read_mesh_scene
+from .read_mjcf import read_mjcf_scene
 from .read_urdf import read_urdf
 
 FILES = (".urdf", ".xacro", ".xml", ".mjcf", *GLTF)
@@ -41,26 +43,6 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 MAX_OBJECTS = 500
 MESH_READERS = ("trimesh", "yourdfpy")
 """Modules that `read_urdf` imports when it is called."""
-
-
-def import_urdf(path: Path) -> Imported:
-    """Read a URDF file and its meshes as an object.
-
-    Raises:
-        SpecError: the file is broken or hostile, refers to a mesh that is missing or outside the
-            file's folder, or its links do not form a tree.
-    """
-    return to_object(call_limited(read_urdf, Path(path), needs=MESH_READERS))
-
-
-def import_mjcf(path: Path) -> Imported:
-    """Read an MJCF file with one object.
-
-    Raises:
-        SpecError: the file is broken or hostile, refers to a file that is missing or outside its
-            folder, is refused by MuJoCo, or contains several objects.
-    """
-    return to_object(call_limited(read_mjcf, Path(path)))
 
 
 @dataclass(frozen=True)
@@ -88,19 +70,18 @@ def import_file(path: Path) -> Imported | ImportedScene:
     path = Path(path)
     try:
         read = call_limited(_read, path, needs=MESH_READERS)
-        if isinstance(read, MeshScene):
-            scene = scene_of_assemblies(path, read.objects)
-            return replace(scene, camera=read.camera, in_camera=read.in_camera)
-        if len(read.objects) == 1:
-            return _lone_object(read)
+        if read.gravity is not None and len(read.objects) == 1:
+            return _lone_object(read.objects[0], read.gravity)
         scene = scene_of_assemblies(path, read.objects)
-        return replace(scene, spec=scene.spec.model_copy(update={"gravity": read.gravity}))
+        stated = {} if read.gravity is None else {"gravity": read.gravity}
+        spec = scene.spec.model_copy(update=stated)
+        return replace(scene, spec=spec, camera=read.camera, in_camera=read.in_camera)
     except SpecError as error:
         message = str(error)
         raise SpecError(message if path.name in message else f"{path}: {message}") from None
 
 
-def _read(path: Path) -> MeshScene | FileScene:
+def _read(path: Path) -> FileScene:
     """Read all objects of a file, and the camera that the file states."""
     if path.suffix.lower() in GLTF:
         return read_gltf(path)
@@ -122,7 +103,7 @@ def _read(path: Path) -> MeshScene | FileScene:
         supported = ", ".join((*FILES, POSES))
         raise SpecError(f"{error}; files that can be read: {supported}") from None
     if root.tag == "robot":
-        return FileScene([Assembly("/", read_urdf(path), np.eye(4))])
+        return FileScene([Assembly("/", read_urdf(path), np.eye(4))], GRAVITY)
     if root.tag == "mujoco":
         return read_mjcf_scene(path)
     raise SpecError(
@@ -130,16 +111,15 @@ def _read(path: Path) -> MeshScene | FileScene:
     )
 
 
-def _lone_object(read: FileScene) -> Imported:
+def _lone_object(assembly: Assembly, gravity: Vec3) -> Imported:
     """Return the only object of a file, with notes on what the file states of its surroundings."""
-    (assembly,) = read.objects
     mechanism = transformed(assembly.mechanism, assembly.frame)
-    imported = replace(to_object(mechanism), gravity=read.gravity)
+    imported = replace(to_object(mechanism), gravity=gravity)
     notes = [*imported.notes]
     if imported.fixed_base:
         place = ", ".join(f"{round(v, 4) + 0.0:g}" for v in imported.origin)
         notes.append(f"the base is fixed to the world at ({place}) m")
-    notes += gravity_notes(read.gravity)
+    notes += gravity_notes(gravity)
     return replace(imported, notes=tuple(notes))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..evidence.file_camera import FileCamera
 from ..spec import JointSpec, Site
 from ..spec.base import Vec3
 from ..spec.object import Role
@@ -132,13 +133,18 @@ class FileScene:
     """Objects of a file, with their poses in the world frame (Z up)."""
 
     objects: list[Assembly]
-    gravity: Vec3 = GRAVITY
-    """Gravitational acceleration [m/s^2]."""
+    gravity: Vec3 | None = None
+    """Gravitational acceleration [m/s^2]; None for meshes, whose files state none."""
+    camera: FileCamera | None = None
+    """Camera of the photograph; None if the file states no camera."""
+    in_camera: bool = False
+    """True if the poses in the file are in the camera's frame. The world frame is then the result
+    of `level_transform`."""
 
 
-def gravity_notes(gravity: Vec3) -> list[str]:
+def gravity_notes(gravity: Vec3 | None) -> list[str]:
     """Return a note for an object if the gravity of its file is not that of scenes by default."""
-    if np.allclose(gravity, GRAVITY, atol=0.01):
+    if gravity is None or np.allclose(gravity, GRAVITY, atol=0.01):
         return []
     stated = " ".join(f"{v:g}" for v in gravity)
     return [f"gravity {stated} m/s^2 is not kept by an object, only by a scene"]

@@ -15,29 +15,25 @@ pose and the intrinsics of the photograph's camera.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..errors import EvidenceError, PhotoError, SpecError
+from ..errors import EvidenceError, SpecError
 from ..evidence.file_camera import (
     TO_OPENCV,
     FileCamera,
     Rows,
-    camera_angles,
-    intrinsics,
     level_transform,
     rows_of,
 )
-from ..evidence.lens import Lens
 from ..io import read_model
 from ..io.names import identifier
 from ..quantities import count
-from ..spec import Camera, Spec
+from ..spec import Spec
 from ..spec.base import Vec3
-from ..spec.pose import Pose, from_yaw, pose, rotate
 from .asset_files import inside
 from .gltf_file import (
     MAX_NODES,
@@ -52,70 +48,11 @@ from .gltf_file import (
     roots_of,
 )
 from .load_mesh import SUFFIXES, load_surfaces, merged_vertices
-from .mechanism import Assembly, Link, Mechanism, visual_shapes
+from .mechanism import Assembly, FileScene, Link, Mechanism, visual_shapes
 from .mesh_colors import Surface
 from .write_glb import OBJECT_EXTRAS, Y_UP
 
 POSES = "poses.json"
-
-
-class Viewpoint(NamedTuple):
-    """Camera of a photograph, and the transform that moves the scene in front of the camera."""
-
-    camera: Camera
-    scene_transform: Pose
-    """Horizontal translation and rotation about the vertical that are applied to the scene, so that
-    the camera is above the origin and heads along +x."""
-    lens: Lens | None = None
-    """Lens of the photograph, if the camera's image is the undistorted photograph."""
-
-
-def viewpoint(camera: FileCamera, width: int, height: int, source: str = "camera") -> Viewpoint:
-    """Return the camera of a photograph, and the transform of the scene to the camera.
-
-    Args:
-        camera: the camera, with pose and intrinsics.
-        width: width of the photograph [px].
-        height: height of the photograph [px].
-        source: where the camera comes from, for messages.
-
-    Raises:
-        EvidenceError: the intrinsics do not fit the photograph.
-        PhotoError: the camera has no pose or no intrinsics.
-    """
-    matrix = camera.matrix()
-    if matrix is None or (camera.fovy is None and camera.fx is None):
-        missing = "pose" if matrix is None else "field of view (fovy, or fx, fy, cx and cy)"
-        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
-    known, lens = intrinsics(camera, (width, height), source)
-    heading, pitch, roll = camera_angles(matrix[:3, :3])
-    rotation = from_yaw(-heading)
-    eye = rotate(rotation, matrix[:3, 3])
-    size = known.size
-    blank = Camera(
-        width=size[0], height_px=size[1], fovy=1, height=float(eye[2]), pitch=pitch, roll=roll
-    )
-    transform = pose((-float(eye[0]), -float(eye[1]), 0.0), rotation)
-    return Viewpoint(known.camera(blank), transform, lens)
-
-
-CAMERA_HELP = (
-    'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
-    '"pose": [[4x4]]}, '
-    "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
-    "it in the scene's file (docs/how-to/rescue-meshes.md)"
-)
-
-
-class MeshScene(NamedTuple):
-    """Objects of a scene file, with their poses in the world frame (Z up)."""
-
-    objects: list[Assembly]
-    camera: FileCamera | None = None
-    """Camera of the photograph; None if the file states no camera."""
-    in_camera: bool = False
-    """True if the poses in the file are in the camera's frame. The world frame is then the result
-    of `level_transform`."""
 
 
 class PosedFile(Spec):
@@ -140,7 +77,7 @@ class PosedFiles(Spec):
     objects: dict[str, PosedFile] = Field(min_length=1, max_length=MAX_NODES)
 
 
-def read_mesh_scene(path: Path) -> MeshScene:
+def read_mesh_scene(path: Path) -> FileScene:
     """Read a poses.json.
 
     Raises:
@@ -158,10 +95,10 @@ def read_mesh_scene(path: Path) -> MeshScene:
             raise SpecError(f"{path}: {error}") from None
         camera = FileCamera(pose=rows_of(to_world)).completed_by(camera)
     objects = [_posed(path, name, item, to_world) for name, item in posed.objects.items()]
-    return MeshScene(objects, camera, in_camera)
+    return FileScene(objects, camera=camera, in_camera=in_camera)
 
 
-def read_mesh(path: Path) -> MeshScene:
+def read_mesh(path: Path) -> FileScene:
     """Read a mesh file as one rigid object, in meters with Z up.
 
     Raises:
@@ -172,7 +109,7 @@ def read_mesh(path: Path) -> MeshScene:
     name = identifier(path.stem, "object")
     assembly = mesh_object(name, surfaces, np.eye(4), groups=[0] * len(surfaces))
     assembly.mechanism.notes += notes
-    return MeshScene([assembly])
+    return FileScene([assembly])
 
 
 def mesh_object(
@@ -252,7 +189,7 @@ Z_UP = Y_UP.T
 """Transform from glTF's axes (Y up) to axes with Z up."""
 
 
-def read_gltf(path: Path) -> MeshScene:
+def read_gltf(path: Path) -> FileScene:
     """Read the objects and the first perspective camera of a text or binary glTF file.
 
     Raises:
@@ -277,7 +214,7 @@ def read_gltf(path: Path) -> MeshScene:
         raise SpecError(f"{path} has no triangles")
     if animations := file.rows("animations"):
         found[0].mechanism.file_notes.append(f"{count(animations, 'animation')} not imported")
-    return MeshScene(found, camera)
+    return FileScene(found, camera=camera)
 
 
 def _object_nodes(file: GltfFile, meshed: set[int]) -> list[int]:

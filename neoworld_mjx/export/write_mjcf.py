@@ -99,7 +99,7 @@ def mjcf_text(
             conaffinity=0,
         )
     for name, spec, _ in objects:
-        _add_frames(model, name, spec)
+        add_frames(model, name, spec)
         if target != "mjx":
             _add_surfaces(model, name, spec)
     model.compile()
@@ -116,7 +116,7 @@ def mjcf_text(
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
+def add_frames(model: mujoco.MjSpec, owner: str, spec: ObjectSpec) -> None:
     """Add sites for handles, and sensors for handles and joints."""
     existing = {site.name for site in spec.sites}
     origins = link_origins(spec)

@@ -31,23 +31,19 @@ _MAX_ENTRIES = 200_000
 _AS_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
-def read_bytes(
-    path: Path, max_bytes: int, *, follow: bool = True, parent: int | None = None
-) -> bytes:
+def read_bytes(path: Path, max_bytes: int, *, follow: bool = True) -> bytes:
     """Read a regular file.
 
     Args:
         path: the file, or a symbolic link to it.
         max_bytes: maximum size.
         follow: if False, refuse a symbolic link.
-        parent: descriptor of the folder that contains the file, which is then opened by its name
-            there, whatever its path has become.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is larger than `max_bytes`;
             `strerror` describes the problem.
     """
-    with _open_descriptor(path, 0 if follow else os.O_NOFOLLOW, parent) as handle:
+    with _open_descriptor(path, 0 if follow else os.O_NOFOLLOW) as handle:
         size = os.fstat(handle).st_size
         if size <= max_bytes:
             chunks, remaining = [], max_bytes + 1
@@ -112,35 +108,23 @@ def write_inside(folder: Path, name: str, data: str | bytes, *, sync: bool = Tru
         OSError: the file cannot be written, its path leads out of the folder or through a link, or
             a folder, pipe or device exists at the path.
     """
-    with open_parent(folder, name, create=True) as (parent, _):
-        write_at(parent, folder / name, data, sync=sync)
-
-
-def write_at(parent: int, path: Path, data: str | bytes, *, sync: bool = True) -> None:
-    """Write a file into an open folder, as `write_inside` does.
-
-    Args:
-        parent: descriptor of the folder.
-        path: path of the file; only its name is used, except in messages.
-        data: the content.
-        sync: if False, let the system flush the file to the disk later.
-    """
-    _check_replaceable(parent, path.name, path)
-    part = f".{path.name}.{secrets.token_hex(8)}.part"
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    try:
-        with os.fdopen(os.open(part, flags, 0o666, dir_fd=parent), "wb") as handle:
-            handle.write(data.encode() if isinstance(data, str) else data)
-            handle.flush()
-            if sync:
-                os.fsync(handle.fileno())
-        os.replace(part, path.name, src_dir_fd=parent, dst_dir_fd=parent)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(part, dir_fd=parent)
-        raise
-    if sync:
-        os.fsync(parent)
+    with _open_parent(folder, name) as (parent, last):
+        _check_replaceable(parent, last, folder / name)
+        part = f".{last}.{secrets.token_hex(8)}.part"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            with os.fdopen(os.open(part, flags, 0o666, dir_fd=parent), "wb") as handle:
+                handle.write(data.encode() if isinstance(data, str) else data)
+                handle.flush()
+                if sync:
+                    os.fsync(handle.fileno())
+            os.replace(part, last, src_dir_fd=parent, dst_dir_fd=parent)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(part, dir_fd=parent)
+            raise
+        if sync:
+            os.fsync(parent)
 
 
 def _check_replaceable(parent: int, last: str, path: Path) -> None:
@@ -157,20 +141,11 @@ def _check_replaceable(parent: int, last: str, path: Path) -> None:
 
 
 @contextmanager
-def open_parent(folder: Path, name: str, *, create: bool = False) -> Iterator[tuple[int, str]]:
-    """Open the parent folder of a file below a folder, without following links.
-
-    Args:
-        folder: an existing folder.
-        name: relative path of the file, with "/" as separator; the file need not exist.
-        create: if True, create missing subfolders.
+def _open_parent(folder: Path, name: str) -> Iterator[tuple[int, str]]:
+    """Open or create the parent folder of a file below a folder, without following links.
 
     Yields:
         File descriptor of the parent folder, and the file's base name.
-
-    Raises:
-        OSError: the path leads out of the folder, a component of the path is a link or a file, or
-            a subfolder is missing.
     """
     if not stays_inside(name):
         raise OSError(errno.EINVAL, "its path leads out of the folder", str(folder / name))
@@ -178,9 +153,8 @@ def open_parent(folder: Path, name: str, *, create: bool = False) -> Iterator[tu
     parent = os.open(folder, _AS_FOLDER)
     try:
         for head in heads:
-            if create:
-                with suppress(FileExistsError):
-                    os.mkdir(head, dir_fd=parent)
+            with suppress(FileExistsError):
+                os.mkdir(head, dir_fd=parent)
             try:
                 child = os.open(head, _AS_FOLDER | os.O_NOFOLLOW, dir_fd=parent)
             except OSError as error:
@@ -277,11 +251,11 @@ def disk_full(path: Path) -> bool:
 
 
 @contextmanager
-def _open_descriptor(path: Path, flags: int = 0, parent: int | None = None) -> Iterator[int]:
+def _open_descriptor(path: Path, flags: int = 0) -> Iterator[int]:
     # Without O_NONBLOCK, opening a pipe blocks until a writer appears.
     flags |= os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        handle = os.open(path if parent is None else path.name, flags, dir_fd=parent)
+        handle = os.open(path, flags)
     except OSError as error:
         if error.errno == errno.ELOOP and flags & os.O_NOFOLLOW:
             raise OSError(errno.ELOOP, "it is a link, not a regular file", str(path)) from None

@@ -96,9 +96,9 @@ def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
     return value
 
 
-def read_object(path: Path, error: type[NeoWorldError], kind: str = "") -> dict[str, Any]:
+def read_object(path: Path, error: type[NeoWorldError]) -> dict[str, Any]:
     """Read a JSON object; see `read_json`."""
-    value = read_json(path, error, kind)
+    value = read_json(path, error)
     if not isinstance(value, dict):
         raise error(f"{path} must hold a JSON object, got {type(value).__name__}")
     return value

@@ -21,10 +21,11 @@ import logging
 import os
 import re
 import shutil
+import stat
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ from pydantic import BaseModel
 from ..config import RoleOptions
 from ..errors import ModelError
 from ..io import read_model
-from ..io.files import irregular_entry, open_parent, read_bytes, write_at, write_inside
+from ..io.files import irregular_entry, read_bytes, write_inside
 from ..io.names import file_name
 from .requests import (
     MAX_BODY_BYTES,
@@ -156,69 +157,53 @@ class Mailbox:
         return partial.rename(folder)
 
     async def _response(self, request: Request[Any], folder: Path) -> str:
-        """Wait for a valid response in a folder, which stays the one that was opened here."""
-        with ExitStack() as stack:
-            try:
-                parent = open_parent(self._folder, f"{folder.name}/{RESPONSE}")
-                opened, _ = stack.enter_context(parent)
-            except OSError:
-                raise ModelError(_REPLACED.format(folder=folder)) from None
-            _check_same(opened, folder)
-            write_at(opened, folder / WAITING, "A run waits for a response.\n")
-            try:
-                return await self._valid_response(request, folder, opened)
-            finally:
-                with suppress(OSError):
-                    os.unlink(WAITING, dir_fd=opened)
+        """Wait for a valid response in a folder, which must stay the same one."""
+        own, path = os.stat(folder, follow_symlinks=False), folder / RESPONSE
+        waiting = f"{folder.name}/{WAITING}"
+        _check_same(folder, own)
+        write_inside(self._folder, waiting, "A run waits for a response.\n")
+        try:
+            while True:
+                _check_same(folder, own)
+                with suppress(FileNotFoundError):  # There is no response yet, or no more.
+                    data = read_bytes(path, MAX_BODY_BYTES, follow=False)
+                    text = data.decode("utf-8", errors="replace")
+                    try:
+                        read_response(text, request.schema)
+                    except InvalidResponse as error:
+                        if abs(time.time() - path.stat().st_mtime) >= UNCHANGED_S or is_json(text):
+                            self._reject(folder, str(error))
+                    else:
+                        (folder / ERROR).unlink(missing_ok=True)
+                        return text
+                await asyncio.sleep(POLL_S)
+        finally:
+            with suppress(OSError, ModelError):
+                _check_same(folder, own)
+                (folder / WAITING).unlink()
 
-    async def _valid_response(self, request: Request[Any], folder: Path, opened: int) -> str:
-        path = folder / RESPONSE
-        while True:
-            _check_same(opened, folder)
-            with suppress(FileNotFoundError):  # There is no response yet, or no more.
-                data = read_bytes(path, MAX_BODY_BYTES, follow=False, parent=opened)
-                text = data.decode("utf-8", errors="replace")
-                try:
-                    read_response(text, request.schema)
-                except InvalidResponse as error:
-                    written = os.stat(RESPONSE, dir_fd=opened, follow_symlinks=False).st_mtime
-                    if abs(time.time() - written) >= UNCHANGED_S or is_json(text):
-                        _reject(opened, folder, str(error))
-                else:
-                    with suppress(FileNotFoundError):
-                        os.unlink(ERROR, dir_fd=opened)
-                    return text
-            await asyncio.sleep(POLL_S)
-
-
-_REPLACED = (
-    "{folder} was removed or replaced while the run waited for its response; resume the run, which "
-    "writes the request again"
-)
+    def _reject(self, folder: Path, reason: str) -> None:
+        """Rename the response in a folder, and write the reason."""
+        count = 1 + len(list(folder.glob("response.rejected-*")))
+        rejected_name = f"response.rejected-{count}.json"
+        (folder / RESPONSE).rename(folder / rejected_name)
+        text = (
+            f"# Response {count} was rejected\n\n{reason}\n\nIt was moved to {rejected_name}. "
+            f"Write a corrected {RESPONSE} that fits schema.json.\n"
+        )
+        write_inside(self._folder, f"{folder.name}/{ERROR}", text)
 
 
-def _check_same(opened: int, folder: Path) -> None:
+def _check_same(folder: Path, own: os.stat_result) -> None:
     """Raise a ModelError if another folder, a link or nothing has taken the place of a folder."""
-    expected = os.fstat(opened)
-    try:
-        os.stat(TICKET, dir_fd=opened, follow_symlinks=False)
-        actual = os.stat(folder, follow_symlinks=False)
-    except OSError:
-        actual = None
-    if actual is None or not os.path.samestat(expected, actual):
-        raise ModelError(_REPLACED.format(folder=folder))
-
-
-def _reject(opened: int, folder: Path, reason: str) -> None:
-    """Rename the response in an open folder, and write the reason."""
-    count = 1 + sum(name.startswith("response.rejected-") for name in os.listdir(opened))
-    rejected_name = f"response.rejected-{count}.json"
-    os.rename(RESPONSE, rejected_name, src_dir_fd=opened, dst_dir_fd=opened)
-    text = (
-        f"# Response {count} was rejected\n\n{reason}\n\nIt was moved to {rejected_name}. "
-        f"Write a corrected {RESPONSE} that fits schema.json.\n"
+    with suppress(OSError):
+        now = os.stat(folder, follow_symlinks=False)
+        if stat.S_ISDIR(now.st_mode) and os.path.samestat(own, now) and (folder / TICKET).exists():
+            return
+    raise ModelError(
+        f"{folder} was removed or replaced while the run waited for its response; resume the run, "
+        "which writes the request again"
     )
-    write_at(opened, folder / ERROR, text)
 
 
 def _announce(line: str) -> None:

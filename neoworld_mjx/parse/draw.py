@@ -59,7 +59,8 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
     # Draw environment supports first and then objects; small boxes last, so that they are on top.
     order = sorted(tree.nodes, key=lambda node: (not node.environment, -_area(boxes[node.name])))
     for node in order:
-        thickness = 1 if node.environment else line
+        low = _side(boxes[node.name]) < 8 * line  # A thick frame would hide the object.
+        thickness = 1 if node.environment or low else line
         _frame(canvas, boxes[node.name], colours[node.name], thickness, dashed=node.occluded)
     tags: list[Region] = []
     for node in reversed(order):
@@ -90,6 +91,11 @@ def _pixels(node: TreeNode, photo: Photo) -> Region:
     x1, y1 = int(np.floor(box.x1 * sx + 0.5)), int(np.floor(box.y1 * sy + 0.5))
     x0, y0 = min(max(x0, 0), width - 2), min(max(y0, 0), height - 2)
     return x0, y0, min(max(x1, x0 + 2), width), min(max(y1, y0 + 2), height)
+
+
+def _side(box: Region) -> int:
+    """Return the length of the shorter side of a box."""
+    return min(box[2] - box[0], box[3] - box[1])
 
 
 def _area(box: Region) -> int:
@@ -145,7 +151,11 @@ def _place(
     tags: list[Region],
     boxes: Iterable[Region],
 ) -> tuple[int, int]:
-    """Choose the position that covers the least of other tags and, among equals, fewest frames."""
+    """Choose a position that covers the least of other tags.
+
+    Among equals, prefer those that hide the fewest small or low objects, then those that cross the
+    fewest frames.
+    """
     height, width = shape[0], shape[1]
     x0, y0, x1, y1 = box
     candidates = [
@@ -155,12 +165,13 @@ def _place(
     ]
     frames = list(boxes)
 
-    def cost(position: tuple[int, int]) -> tuple[int, int, int]:
+    def cost(position: tuple[int, int]) -> tuple[int, int, int, int]:
         x, y = _inside(position, (width, height), size)
         region = (x, y, x + width, y + height)
         shift = abs(x - position[0]) + abs(y - position[1])
         return (
             sum(overlap(region, other) for other in tags),
+            sum(4 * overlap(region, other) > _side(other) ** 2 for other in frames),
             sum(_crosses(region, other) for other in frames),
             shift,
         )
@@ -200,29 +211,30 @@ def stamp(
     under[mask] = 0
 
 
-def draw_region(
-    picture: Picture, box: tuple[float, float, float, float], shown_px: int = 900
-) -> Picture:
+REGION_PX = 900
+"""Approximate length of the longer side of an enlarged region [px]."""
+
+
+def draw_region(picture: Picture, box: tuple[float, float, float, float]) -> Picture:
     """Enlarge a region of a picture, with rulers whose numbers are pixels of the whole picture.
 
     Args:
         picture: the picture.
         box: left, top, right and bottom of the region [px]; it is clipped at the picture's edges.
-        shown_px: approximate length of the longer side of the result [px].
     """
     width, height = picture.size
     left, right = sorted(min(max(round(value), 0), width) for value in box[::2])
     top, bottom = sorted(min(max(round(value), 0), height) for value in box[1::2])
     left, top = min(left, width - 2), min(top, height - 2)
     right, bottom = max(right, left + 2), max(bottom, top + 2)
-    factor = max(1, shown_px // max(right - left, bottom - top))
+    factor = max(1.0, REGION_PX / max(right - left, bottom - top))
     region = Image.fromarray(picture.rgb[top:bottom, left:right])
-    size = region.width * factor, region.height * factor
+    size = round(region.width * factor), round(region.height * factor)
     canvas = np.array(region.resize(size, Image.Resampling.BICUBIC))
     step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500) if s * factor >= 40)
     for axis, (low, high) in enumerate(((left, right), (top, bottom))):
         for value in range(-(-low // step) * step, high, step):
-            at, tag = (value - low) * factor, name_tag(str(value), 1)
+            at, tag = round((value - low) * factor), name_tag(str(value), 1)
             spots = (slice(0, 8), at) if axis == 0 else (at, slice(0, 8))
             canvas[spots] = COLOURS[0]
             corner = (at + 2, 0) if axis == 0 else (8, max(at - tag.shape[0] // 2, 0))

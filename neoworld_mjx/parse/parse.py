@@ -6,7 +6,7 @@ Each response is fitted to its own 2D boxes and checked without a model. A repai
 - the faults that the critic sees in the drawing of the scene.
 
 The response to a repair request contains only changes. The result is the response with the best
-score. The vertical edges in the photograph (`estimate.image_lines`) check the parsed camera.
+score. The vertical edges in the photograph (`estimate.image.lines`) check the parsed camera.
 """
 
 import asyncio

@@ -241,6 +241,6 @@ def listing(response: ParsedScene) -> str:
             occluders = ", ".join(obj.occluded_by) or "the picture's edge"
             phrases.append(f"partly hidden by {occluders}")
         for part in obj.articulation:
-            phrases.append(f"{part.part} {part.motion} {part.opening:.0%} open")
+            phrases.append(f"{part.part} {part.motion} at {part.opening:.0%}")
         lines.append("- " + "; ".join(phrases))
     return "\n".join(lines)

@@ -65,6 +65,8 @@ class Variation(Candidates):
     """Factors of the dry friction of joints."""
     joint_damping: Float[AnyArray, "pop joint"]
     """Factors of the damping of joints."""
+    opening: Float[AnyArray, "pop joint"]
+    """Changes of the initial positions of hinges and slides at scale 1 [rad or m]."""
 
 
 class Poses(Candidates):
@@ -107,14 +109,17 @@ class Arrangement(NamedTuple):
     """Height of a snapped object above the height at which it touches its support [m]."""
 
 
-def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arrangement:
+GAP_M = 1e-4
+"""Clearance under snapped objects [m]."""
+
+
+def arrange(scene: SceneSpec, *, reach: float = 1 / 3) -> Arrangement:
     """Tabulate a composed scene for `place`.
 
     Args:
         scene: the composed scene.
         reach: fraction of an object's horizontal diagonal. Objects are snapped up to this distance
             plus 2 cm from their composed positions. One third is six default standard deviations.
-        gap: clearance under snapped objects [m].
     """
     snapped = [
         o.parent is not None and o.relation != "attached" and not o.environment
@@ -126,7 +131,7 @@ def arrange(scene: SceneSpec, *, reach: float = 1 / 3, gap: float = 1e-4) -> Arr
     return frames(scene)._replace(
         snapped=np.array(snapped),
         support=jax.tree.map(lambda *rows: np.stack(rows), *tables),
-        gap=np.full(len(snapped), gap),
+        gap=np.full(len(snapped), GAP_M),
     )
 
 

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from neoworld_kernels import sorted_samples
 
 from ..cache import free_memory_maps
@@ -104,18 +104,22 @@ class CompiledScene(eqx.Module):
         """Object names, in the order of the object axis."""
         return self.static.names
 
-    def poses(
-        self, scene: SceneSpec | None = None, size: Float[np.ndarray, "1 object"] | None = None
-    ) -> Poses:
-        """Return the world poses of a scene's objects as one candidate, in double precision.
+    def poses(self, scene: SceneSpec | None = None) -> Poses:
+        """Return the world poses and sizes of a scene's objects as one candidate.
+
+        They are in double precision.
 
         Args:
-            scene: a scene with the objects of this one. If None, it is this scene.
-            size: sizes of the objects relative to this scene. If None, they are equal.
+            scene: a scene with the objects of this one, at any poses and sizes. If None, it is this
+                scene.
         """
-        posed = world_poses(self.spec if scene is None else scene).values()
+        scene = self.spec if scene is None else scene
+        posed = world_poses(scene).values()
         pos, quat = (np.array([getattr(p, name) for p in posed])[None] for name in ("pos", "quat"))
-        return Poses(pos, quat, np.ones(pos.shape[:2]) if size is None else size, pos[..., 2])
+        extent = lambda item: np.linalg.norm(np.subtract(*bounds(item.spec, item.joint_state)))
+        pairs = zip(scene.objects, self.spec.objects, strict=True)
+        size = [1.0 if a.spec is b.spec else extent(a) / extent(b) for a, b in pairs]
+        return Poses(pos, quat, np.array(size, float)[None], pos[..., 2])
 
     def scene_at(
         self,
@@ -160,7 +164,7 @@ class SceneModel(SceneArrays, CompiledScene):
 
     def place_exactly(self, layouts: Layout) -> Poses:
         """Place candidates in double precision (NumPy), at the snapped heights of `place`."""
-        height = np.asarray(self.place(layouts).height, float)
+        height = snapped_heights(self.arrangement, layouts).astype(float)
         double_layouts = jax.tree.map(lambda leaf: np.asarray(leaf, float), layouts)
         with np.errstate(invalid="ignore", over="ignore"):  # see `unplaceable`
             return compose_poses(self.static.arrangement, double_layouts, height, np)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..spec.scale import mimic_exponents
 from .layout import Poses, Variation
-from .model import FREE, MESH, SLIDE, CompiledScene
+from .model import FREE, HINGE, MESH, SLIDE, CompiledScene
 
 
 def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str, Any]:
@@ -33,6 +33,10 @@ def model_fields(scene: CompiledScene, poses: Poses, xp: Any = jnp) -> dict[str,
     qpos = _broadcast(s.start, pop, xp)
     qpos0 = _broadcast(m.qpos0, pop, xp)
     slides = m.jnt_qposadr[slide]
+    if poses.variation is not None:
+        opens = np.isin(m.jnt_type[s.joints], (SLIDE, HINGE))
+        at = m.jnt_qposadr[s.joints[opens]]
+        qpos = _set_columns(qpos, at, qpos[:, at] + poses.variation.opening[:, opens], xp)
     qpos = _set_columns(qpos, slides, qpos[:, slides] * jnt[:, slide], xp)
     for j in np.flatnonzero(m.jnt_type == FREE):
         owner, adr = s.jnt_object[j], m.jnt_qposadr[j]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..spec import SceneSpec
+from ..spec import SceneSpec, joint_value
 from ..spec.correlation import EACH, PoseCorrelation
 from .layout import Layout, Variation
 from .model import CompiledScene
@@ -21,22 +21,24 @@ stored with four decimals."""
 
 
 class PhysicalPrior(NamedTuple):
-    """Standard deviations of the logarithms of quantities that no picture shows.
+    """Standard deviations of quantities that no picture shows, or that are not estimated.
 
-    The center of each prior is the value in the scene.
-
-    All deviations are assumed, not measured:
+    The center of each prior is the value in the scene. Deviations are of logarithms, except that of
+    openings. All are assumed, not measured:
 
     - density: walls, fillings and kinds of wood are not seen;
     - friction of contacts: the material is that of the program;
     - dry friction and damping of joints: within a factor of 2, because they are derived from the
-      weight of the part (`program/assemble.py`).
+      weight of the part (`program/assemble.py`);
+    - opening of a joint that is neither closed nor fully open, as a fraction of its range, within
+      which it stays. Joints that others follow, or on whose parts objects stand, keep theirs.
     """
 
     density: float = 0.30
     friction: float = 0.25
     joint_friction: float = 0.70
     joint_damping: float = 0.70
+    opening: float = 0.06
 
 
 class Draws(NamedTuple):
@@ -110,8 +112,28 @@ def draw(
         factors(p.friction, count),
         factors(p.joint_friction, joints),
         factors(p.joint_damping, joints),
+        _openings(scene, p.opening * rng.standard_normal((n, joints))),
     )
     return Draws.of(normals, pose_factor(spec), variation)
+
+
+def _openings(
+    scene: CompiledScene, fractions: Float[np.ndarray, "pop joint"]
+) -> Float[np.ndarray, "pop joint"]:
+    """Return changes of openings within the ranges of the joints, given fractions of the ranges."""
+    static, spec = scene.static, scene.spec
+    changes = np.zeros_like(fractions)
+    for k, name in enumerate(static.joint_names):
+        item = spec.objects[static.joint_object[k]]
+        joint = item.spec.joint(name.split("-", 1)[1])
+        followed = {other.mimic.joint for other in item.spec.joints if other.mimic is not None}
+        carries = any(other.parent == item.name and other.parent_link for other in spec.objects)
+        value = joint_value(item.spec, joint, item.joint_state)
+        shown = joint.type in ("revolute", "prismatic") and joint.lower < value < joint.upper
+        if shown and value and not (carries or joint.mimic or joint.name in followed):
+            opened = value + fractions[:, k] * (joint.upper - joint.lower)
+            changes[:, k] = np.clip(opened, joint.lower, joint.upper) - value
+    return changes
 
 
 def draw_again(
@@ -146,5 +168,6 @@ def draw_again(
         np.where(objects, new.friction, old.friction),
         np.where(joints, new.joint_friction, old.joint_friction),
         np.where(joints, new.joint_damping, old.joint_damping),
+        np.where(joints, new.opening, old.opening),
     )
     return Draws.of(normals, factor, variation)

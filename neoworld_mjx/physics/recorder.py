@@ -216,9 +216,11 @@ def _joint_shift(static: StaticScene, k: int, poses: Poses, qpos: NDArray) -> ND
     if m.jnt_type[joint] == BALL:
         start = static.start[address : address + 4].astype(qpos.dtype)
         return angle_between(start, qpos[:, :, address : address + 4])
-    start = qpos.dtype.type(static.start[address])
+    start = np.full((len(qpos), 1), static.start[address], qpos.dtype)
+    if poses.variation is not None:
+        start += np.asarray(poses.variation.opening)[:, k, None]
     if m.jnt_type[joint] == SLIDE:
-        start = (start * poses.scale[:, static.joint_object[k]])[:, None]
+        start *= np.asarray(poses.scale)[:, static.joint_object[k], None]
     return np.abs(qpos[:, :, address] - start)
 
 

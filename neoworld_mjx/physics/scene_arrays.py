@@ -126,51 +126,38 @@ def pad_scene(scene: SceneArrays) -> SceneArrays:
     n, photo = b.objects, scene.photo
     pair_mask = np.zeros((n, n), bool)
     pair_mask[: scene.count, : scene.count] = scene.pair_mask
-    unit = np.array([0.0, 0.0, 1.0, 1.0])
-    fills = {"boxes": unit, "depth": 1.0}
-    names = ("boxes", "parsed", "depth", "scored", "fully_visible", "occludes")
-    by_object = {name: pad_axis(getattr(photo, name), n, fills.get(name, 0)) for name in names}
+    fills = {"boxes": np.array([0.0, 0.0, 1.0, 1.0]), "depth": 1.0, "diagonal": 1.0}
+    pad = lambda owner, *names: {
+        name: pad_axis(getattr(owner, name), n, fills.get(name, 0)) for name in names
+    }
+    seen = pad(photo, "boxes", "parsed", "depth", "scored", "fully_visible", "occludes")
+    groups = scene.colliders._asdict().items()
     padded = SceneArrays(
         arrangement=pad_arrangement(scene.arrangement, n),
-        samples=pad_axis(scene.samples, n),
-        outline=pad_axis(scene.outline, n),
-        round=pad_axis(scene.round, n),
         colliders=Colliders(
-            *(
-                _pad_pieces(group, getattr(b, kind), b.faces, n - 1)
-                for kind, group in scene.colliders._asdict().items()
-            )
+            *(_pad_pieces(g, getattr(b, kind), b.faces, n - 1) for kind, g in groups)
         ),
-        photo=photo._replace(**by_object),
-        optimised=pad_axis(scene.optimised, n),
-        resized=pad_axis(scene.resized, n),
-        movable=pad_axis(scene.movable, n),
-        diagonal=pad_axis(scene.diagonal, n, 1.0),
-        corners=pad_axis(scene.corners, n),
+        photo=photo._replace(**seen),
         pair_mask=pair_mask,
         joint_object=pad_axis(scene.joint_object, b.joints, n - 1),
         joint_slides=pad_axis(scene.joint_slides, b.joints),
+        **pad(scene, "samples", "outline", "round", "optimised", "resized", "movable"),
+        **pad(scene, "diagonal", "corners"),
     )
     return on_device(padded)
 
 
 def pad_arrangement(a: Arrangement, objects: int) -> Arrangement:
     """Pad an arrangement on the host to `objects` objects; padding lies far below the scene."""
-    count = len(a.parent)
+    count, upright = len(a.parent), np.array([1.0, 0.0, 0.0, 0.0])
     ancestors = np.eye(objects)
     ancestors[:count, :count] = a.ancestors
+    fills = {"z": -PADDING_DEPTH_M, "tilt": upright, "parent": -1}
+    own = {name: x for name, x in a._asdict().items() if name not in ("ancestors", "support")}
     return Arrangement(
-        xy=pad_axis(a.xy, objects),
-        z=pad_axis(a.z, objects, -PADDING_DEPTH_M),
-        yaw=pad_axis(a.yaw, objects),
-        tilt=pad_axis(a.tilt, objects, np.array([1.0, 0.0, 0.0, 0.0])),
-        frame_pos=pad_axis(a.frame_pos, objects),
-        frame_yaw=pad_axis(a.frame_yaw, objects),
-        parent=pad_axis(a.parent, objects, -1),
         ancestors=ancestors,
-        snapped=pad_axis(a.snapped, objects),
         support=jax.tree.map(lambda x, empty: pad_axis(x, objects, empty), a.support, no_support()),
-        gap=pad_axis(a.gap, objects),
+        **{name: pad_axis(x, objects, fills.get(name, 0)) for name, x in own.items()},
     )
 
 
@@ -188,16 +175,25 @@ def pad_objects(tree: Any, objects: int) -> Any:
 _heights = jax.jit(heights)
 
 
+HEIGHTS_AT_ONCE = 16
+"""Number of candidates whose heights are computed at once, unless there is only one."""
+
+
 def snapped_heights(arrangement: Arrangement, layout: Layout) -> Float[np.ndarray, "pop object"]:
     """Return the snapped heights of the candidates' objects [m], shape [pop, object].
 
-    The computation is compiled once for each bucket and number of candidates.
+    The computation is compiled once for each bucket, and once more for single candidates.
     """
-    count = len(arrangement.parent)
+    pop, count = layout.yaw.shape
     padded_count = object_bucket(count)
     # Jitted, so that heights are rounded as in a search.
     padded = on_device(pad_arrangement(arrangement, padded_count))
-    return np.asarray(_heights(padded, on_device(pad_objects(layout, padded_count))))[:, :count]
+    layout, parts = pad_objects(layout, padded_count), []
+    for first in range(0, pop, HEIGHTS_AT_ONCE):
+        rows = np.arange(first, first + (HEIGHTS_AT_ONCE if pop > 1 else 1))
+        chunk = jax.tree.map(lambda x, rows=rows: x[np.minimum(rows, pop - 1)], layout)
+        parts.append(np.asarray(_heights(padded, on_device(chunk))))
+    return np.concatenate(parts)[:pop, :count]
 
 
 def _pad_pieces(group: PieceGroup, pieces: int, faces: int, owner: int) -> PieceGroup:

@@ -50,8 +50,6 @@ class Outlines(eqx.Module):
     """Mean of the projected outline points [px]."""
     depth: Float[Array, "pop object"]
     """Depth of the center of each object's bounding box [m]."""
-    inside: Float[Array, "pop object"]
-    """Fraction of the surface samples that are projected into the image."""
 
 
 class Visible(eqx.Module):
@@ -60,9 +58,6 @@ class Visible(eqx.Module):
     boxes: Float[Array, "pop object 4"]
     """Boxes of the visible parts, relative to the image center [px]. The box of an invisible object
     has zero area."""
-    visible_fraction: Float[Array, "pop object"]
-    """Visible fraction of the area that the object would cover without occluders and image border.
-    """
     unoccluded_sides: Bool[Array, "pop object 4"]
     """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     outlines: Outlines
@@ -96,15 +91,11 @@ def outlines(scene: SceneArrays, poses: Poses) -> Outlines:
         box.append(side)
         extremes.append(jnp.stack((side, across) if axis == 0 else (across, side), axis=-1))
     _, _, depth = project(jnp.mean(scene.corners, axis=1, keepdims=True))
-    u, w, _ = project(scene.samples)
-    left, top, right, bottom = v.edges
-    within = (u >= left) & (u <= right) & (w >= top) & (w <= bottom)
     return Outlines(
         jnp.stack(box, axis=-1),
         jnp.stack(extremes, axis=2),
         jnp.stack([x.mean(axis=2), y.mean(axis=2)], axis=-1),
         depth[..., 0],
-        jnp.mean(within, axis=2),
     )
 
 
@@ -192,7 +183,6 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
     pop = poses.scale.shape[0]
     initial = (
         jnp.zeros((scene.count, 4, pop)),
-        jnp.zeros((scene.count, pop)),
         jnp.zeros((scene.count, 4, pop), bool),
     )
 
@@ -249,20 +239,12 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
         any_visible = any_cell | jnp.any(tip_visible, axis=0)
         centre = jnp.tile(middle[k], (2, 1))
         box = jnp.where(any_visible & jnp.all(jnp.isfinite(box), axis=0), box, centre)
-        count = jnp.sum(hit[:-1], axis=(0, 1))
-        visible_fraction = jnp.sum(cells, axis=(0, 1)) / jnp.maximum(count, 1)
-        values = (box, visible_fraction, ends_here & any_visible)
+        values = (box, ends_here & any_visible)
         return tuple(a.at[k].set(b) for a, b in zip(result, values, strict=True))
 
-    boxes, visible_fraction, sides = lax.fori_loop(0, scored_count, observe, initial)
+    boxes, sides = lax.fori_loop(0, scored_count, observe, initial)
     population_first = lambda v: jnp.moveaxis(v, -1, 0)
-    visible_fraction = population_first(visible_fraction) * projected.inside
-    return Visible(
-        population_first(boxes) * focal,
-        visible_fraction,
-        population_first(sides),
-        projected,
-    )
+    return Visible(population_first(boxes) * focal, population_first(sides), projected)
 
 
 def _least_inverse_depth(camera_scene: _CameraScene, count: int) -> Float[Array, "object pop"]:

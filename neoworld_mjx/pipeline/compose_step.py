@@ -82,7 +82,7 @@ def compose_scene(context: StepContext) -> None:
                 base = evidence.camera.base_frame(scene.camera)
             if base is not None:
                 scene = scene_in_frame(scene, base)
-            scene, stale = apply_layout(scene, patch, options.gap_m)
+            scene, stale = apply_layout(scene, patch)
             if evidence.photo is not None and options.looks:
                 from ..render.looks import as_photographed
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..compose.layout_patch import LAYOUT_PATCH
 from ..config import ProgramOptions
 from ..errors import ProgramError
-from ..program.sandbox import BuildResult, build
+from ..program.building import BuildResult, build
 from ..run_folder import RunFolder
 from ..spec import SceneSpec, SceneTree, bounds, world_poses
 from .step_context import PROGRAM, SPEC, TREE, object_file, read_spec

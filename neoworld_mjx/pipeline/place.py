@@ -75,7 +75,7 @@ def place(
         tree = with_known_camera(tree, known)
     tree, by_boxes = evidence.objects.applied(tree, objects), None
     if options.refit and evidence.boxes:
-        parsed = evidence.objects.marked(as_parsed(tree, objects, options))
+        parsed = evidence.objects.marked(as_parsed(tree, objects))
         by_boxes = align_to_boxes(parsed, measured=tree.camera_measured, evidence=evidence)
         tree = moved_tree(tree, parsed, by_boxes.scene)
     composed = _composed(tree, objects, evidence, options, name)
@@ -89,7 +89,7 @@ def place(
         measured=tree.camera_measured,
         evidence=evidence,
     )
-    scene = _with_kept(put_down(alignment.scene, options.gap_m), tree, evidence, options)
+    scene = _with_kept(put_down(alignment.scene), tree, evidence)
     seconds = time.perf_counter() - began
     return LayoutEstimate(tree, composed, scene, by_boxes, alignment, seconds)
 
@@ -103,7 +103,7 @@ def _composed(
 ) -> Composed:
     """Compose the scene; drop boxes and a camera that are no evidence."""
     composed = compose(tree, objects, options, name=name)
-    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence, options))
+    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence))
     composed = dataclasses.replace(composed, scene=scene)
     if evidence.boxes:
         return composed
@@ -113,14 +113,12 @@ def _composed(
     return dataclasses.replace(composed, scene=scene)
 
 
-def _with_kept(
-    scene: SceneSpec, tree: SceneTree, evidence: Evidence, options: ComposeOptions
-) -> SceneSpec:
+def _with_kept(scene: SceneSpec, tree: SceneTree, evidence: Evidence) -> SceneSpec:
     """Return the scene with the objects that the user placed where the tree has them."""
     keep = evidence.objects.keep
     if not keep:
         return scene
-    return apply_layout(scene, kept_layout(scene, tree, keep), options.gap_m)[0]
+    return apply_layout(scene, kept_layout(scene, tree, keep))[0]
 
 
 @dataclass(frozen=True)
@@ -187,7 +185,11 @@ def refine_placed(
     result, measure, seconds = refined.scene, refined.measure, dict(refined.seconds)
     if photo is not None and again is not None and again.aligns_again and refined.passed:
         began = time.perf_counter()
-        final = align_final(scene, refined.scene, photo, o, again, evidence=evidence, keep=keep)
+        # Scenes are compiled at most twice: after a search, both are there.
+        world = refined.world if refined.iterations else None
+        final = align_final(
+            scene, refined.scene, photo, o, again, evidence=evidence, keep=keep, world=world
+        )
         seconds["align"] = time.perf_counter() - began
         if final.measure is not None:
             result, measure = final.scene, final.measure

@@ -4,25 +4,25 @@ A rescue is a run whose Steps 1 to 3 are read from a file: the meshes take the p
 and their poses that of the parse. Steps 4 and 5, files and report are those of every run.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
 
 from ..config import Config
 from ..errors import EvidenceError, PhotoError, RunError
-from ..evidence.evidence import Evidence
-from ..evidence.evidence_file import StatedEvidence, evidence_of, stated_camera, undistorted
+from ..evidence.evidence import Evidence, PhotoPixels
+from ..evidence.evidence_file import OWN_CAMERA, StatedEvidence, evidence_of, undistorted
 from ..evidence.file_camera import FileCamera
 from ..evidence.known_camera import KnownCamera
 from ..evidence.known_objects import KnownObjects
 from ..export.importing import ImportedScene, import_file
-from ..export.read_mesh_scene import CAMERA_HELP, Viewpoint, viewpoint
 from ..io import bounded_by
 from ..parse.photo import load_photo
 from ..render import to_png
 from ..run_folder import Result, RunFolder
+from ..spec import Camera
+from ..spec.pose import from_yaw, pose, rotate
 from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
 from .input_doubts import doubt_solids, doubt_unit, scaled_scene
@@ -30,14 +30,12 @@ from .mesh_tree import MeshTree, mesh_tree
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, SPEC, TREE, object_file, write_files
 
-
-@dataclass(frozen=True)
-class Photographed:
-    """The photograph of a given scene."""
-
-    rgb: UInt8[np.ndarray, "row column 3"] = field(repr=False)
-    """Colors (sRGB), undistorted to the image of the camera."""
-    view: Viewpoint
+CAMERA_HELP = (
+    'give it by --camera FILE.json, as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, '
+    '"pose": [[4x4]]}, '
+    "where pose transforms the camera's frame (OpenCV) to the scene's world frame (Z up); or give "
+    "it in the scene's file (docs/how-to/rescue-meshes.md)"
+)
 
 
 def rescue_file(
@@ -67,7 +65,7 @@ def rescue_file(
         EvidenceError: a file cannot be read, or contradicts the photograph.
         SpecError: a file cannot be read, no object is free to move, or the file is in doubt
             (`input_doubts`).
-        PhotoError: as for `photographed`.
+        PhotoError: as for `photo_evidence`.
         RunError: the folder is not empty, or cannot be written.
     """
     c = config or Config()
@@ -86,77 +84,65 @@ def rescue_file(
         else:
             imported = scaled_scene(imported, scale)
         doubt_solids(imported.spec)
-        picture, camera = None, None
-        given = evidence or StatedEvidence()
+        given, rgb = evidence or StatedEvidence(), None
         known = Evidence(objects=KnownObjects(sizes=given.sizes, keep=given.keep))
         if photo is not None:
-            camera, _ = stated_camera(given, photo.name)
-            picture = photographed(photo, imported.camera, camera, c.parse.max_side_px)
-            known = _known(given, photo, picture, c.parse.max_side_px)
-        meshes, c = posed_tree(imported, picture), as_given(c, photo=picture is not None)
+            rgb, known = photo_evidence(photo, given, imported.camera, c.parse.max_side_px)
+        meshes, c = posed_tree(imported, known.camera), as_given(c, photo=rgb is not None)
         known.objects.check_names(meshes.tree)
         notes = [*imported.notes, *meshes.notes]
-        if picture is not None and camera is None:
+        if known.camera is not None and known.camera.source == OWN_CAMERA:
             notes.append(f"the camera of the photograph is taken from {file.name}")
+        if known.camera is not None and given.base is None:
+            known = replace(known, camera=replace(known.camera, base=None, heading=0.0))
         with RunFolder(out, c) as run:
             run.record("photo", name=file.name if photo is None else photo.name)
             keep_evidence(run, RunEvidence(known))
-            _write_given(run, file, meshes, picture, known.camera)
+            _write_given(run, file, meshes, rgb, known.camera)
             for note in notes:
                 run.note("parse", note, f"read from {file.name}")
             run_steps(run, c, None, first="compose")
             return finish(run, None)
 
 
-def photographed(
-    file: Path, stated: FileCamera | None, camera: FileCamera | None, max_side_px: int = 1568
-) -> Photographed:
-    """Read the photograph of a scene.
+def photo_evidence(
+    photo: Path, given: StatedEvidence, own: FileCamera | None, max_side_px: int = 1568
+) -> tuple[PhotoPixels, Evidence]:
+    """Read the photograph of a scene, undistorted, and what is known about it.
 
     Args:
-        file: the picture.
-        stated: camera in the scene's file, if any.
-        camera: camera that the user gives; its values take precedence over those of `stated`.
+        photo: the picture.
+        given: evidence that the user gives; its camera takes precedence over `own`.
+        own: camera in the scene's file, if any.
         max_side_px: longest side to which the picture is reduced [px].
 
     Raises:
-        EvidenceError: the camera does not match the photograph.
+        EvidenceError: the evidence does not match the photograph.
         PhotoError: the file is not a picture, or the camera is incomplete.
     """
-    if stated is None and camera is None:
-        raise PhotoError(f"{file}: the scene's file states no camera: {CAMERA_HELP}")
-    full = (camera or FileCamera()).completed_by(stated)
-    read = load_photo(file, max_side_px)
-    view = viewpoint(full, *read.original_size)
-    rgb = undistorted(Evidence(photo=read.rgb, lens=view.lens)).photo
+    read = load_photo(photo, max_side_px)
+    known = evidence_of(given, photo.name, read.rgb, read.original_size, own)
+    camera = known.camera
+    if camera is None:
+        raise PhotoError(f"{photo}: the scene's file states no camera: {CAMERA_HELP}")
+    if camera.base is None or camera.focal is None:
+        missing = "pose" if camera.base is None else "field of view (fovy, or fx, fy, cx and cy)"
+        raise PhotoError(f"the camera of the photograph has no {missing}: {CAMERA_HELP}")
+    rgb = undistorted(Evidence(photo=read.rgb, lens=known.lens)).photo
     assert rgb is not None
-    return Photographed(rgb, view)
+    # The scene's height follows from its main support.
+    return rgb, replace(known, camera=replace(camera, height=None))
 
 
-def _known(given: StatedEvidence, photo: Path, picture: Photographed, max_side: int) -> Evidence:
-    """Return the evidence about a photograph whose camera is `picture.view.camera`."""
-    taken, camera = load_photo(photo, max_side), picture.view.camera
-    known = evidence_of(given, photo.name, taken.rgb, taken.original_size)
-    size = (camera.width, camera.height_px)
-    source = "the scene's file" if known.camera is None else known.camera.source
-    exact = KnownCamera(
-        *(size, camera.focal),
-        principal=camera.principal,
-        pitch=camera.pitch,
-        roll=camera.roll,
-        source=source,
-    )
-    if given.base is not None and known.camera is not None:
-        exact = replace(exact, base=known.camera.base, heading=known.camera.heading)
-    return replace(known, camera=exact, lens=picture.view.lens)
-
-
-def posed_tree(imported: ImportedScene, photo: Photographed | None = None) -> MeshTree:
-    """Return the tree of a scene; with a photograph, its camera is above the origin."""
-    if photo is None:
+def posed_tree(imported: ImportedScene, known: KnownCamera | None = None) -> MeshTree:
+    """Return the tree of a scene; if its camera's place is known, it is above the origin."""
+    if known is None or known.base is None:
         return mesh_tree(imported.spec)
-    given = transformed_scene(imported.spec, photo.view.scene_transform)
-    return mesh_tree(given, photo.view.camera)
+    back = from_yaw(-known.heading)
+    x, y, z = rotate(back, np.array(known.base)).tolist()
+    width, height_px = known.size
+    camera = known.camera(Camera(width=width, height_px=height_px, fovy=1, height=z, pitch=0))
+    return mesh_tree(transformed_scene(imported.spec, pose((-x, -y, 0.0), back)), camera)
 
 
 def as_given(config: Config, *, photo: bool) -> Config:
@@ -175,7 +161,7 @@ def _write_given(
     run: RunFolder,
     file: Path,
     meshes: MeshTree,
-    photo: Photographed | None,
+    rgb: PhotoPixels | None,
     known: KnownCamera | None,
 ) -> None:
     """Write what Steps 1 to 3 of other runs write: the tree, and the objects."""
@@ -187,7 +173,7 @@ def _write_given(
     with run.step("parse", {"file": file}) as out:
         assert out is not None  # The folder is new.
         write_files(out, {TREE: meshes.tree.to_json(), GIVEN: given.to_json()})
-        if photo is not None:
-            write_files(out, {PHOTO: to_png(photo.rgb)})
+        if rgb is not None:
+            write_files(out, {PHOTO: to_png(rgb)})
         for name, spec in meshes.objects.items():
             write_files(out, {object_file(name, SPEC): spec.to_json()})

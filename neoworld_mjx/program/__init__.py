@@ -7,7 +7,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .sandbox import BuildResult, build
+    from .building import BuildResult, build
 
 __all__ = ["BuildResult", "build"]
 
@@ -15,6 +15,6 @@ __all__ = ["BuildResult", "build"]
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import sandbox
+    from . import building
 
-    return getattr(sandbox, name)
+    return getattr(building, name)

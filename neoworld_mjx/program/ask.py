@@ -16,6 +16,7 @@ from ..config import Language
 from ..errors import ProgramError
 from ..mllm import Picture, Request, package_text
 from ..spec import ObjectSpec
+from .building import BuildResult
 from .critique import (
     Critique,
     Edges,
@@ -27,7 +28,6 @@ from .critique import (
     tilt_in_words,
     view_in_words,
 )
-from .sandbox import BuildResult
 
 # Titles, docstrings and descriptions of response schemas are part of the requests. Recorded
 # responses (tapes) match only requests that are exactly equal.

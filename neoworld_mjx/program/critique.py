@@ -27,7 +27,8 @@ VIEW = (
     "degrees {above} it{left}\n"
 )
 OPEN_PARTS = (
-    ", with {parts} as in the photo (draw it closed, so that opened like that it fills this box)"
+    ", with {parts} of the range as in the photo (draw all joints at 0, closed or off, so that, "
+    "moved like that, it fills this box)"
 )
 
 
@@ -52,8 +53,8 @@ def moving_parts(node: TreeNode) -> str:
 
 
 def opened_parts(node: TreeNode) -> str:
-    """Describe the parts that were open when the box was measured; empty if none was."""
-    parts = [f"{part.part} {part.opening:.0%} open" for part in node.articulation if part.opening]
+    """Describe how far parts were moved when the box was measured; empty if none was."""
+    parts = [f"{part.part} at {part.opening:.0%}" for part in node.articulation if part.opening]
     return OPEN_PARTS.format(parts=", ".join(parts)) if parts else ""
 
 

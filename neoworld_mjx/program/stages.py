@@ -25,7 +25,7 @@ from ..export.object_of_mechanism import to_object
 from ..spec import ObjectSpec, TreeNode, inertial
 from ..spec.scale import fit_to_box
 from .ask import join_texts
-from .sandbox import BuildResult, build, run
+from .building import BuildResult, build, run
 
 LEAST_MASS_RATIO = 0.99
 """Smallest allowed ratio of a part's masses before and after it is written to URDF and read back.

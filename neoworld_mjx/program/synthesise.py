@@ -36,8 +36,8 @@ from .ask import (
     revise_request,
     written_without_model,
 )
+from .building import BuildResult, run
 from .critique import Critique, Subject, accepts, corrected_box, critic_request
-from .sandbox import BuildResult, run
 from .stages import (
     NOTHING_MOVES,
     STAGES,

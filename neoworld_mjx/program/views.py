@@ -130,7 +130,7 @@ def compare(
     Both halves have the same camera, frame and size. If the object extends beyond the crop, the
     frame does as well: gray surrounds the crop, and a white frame marks it on the right. Without a
     view of the photo, with less of the object's 2D box than `MIN_VISIBLE` in the crop, or with the
-    object too close to the camera, the result is the crop and the picture of `draw`.
+    object too close to the camera (`why_apart`), the result is the crop and the picture of `draw`.
 
     Args:
         crop: the crop.
@@ -139,18 +139,10 @@ def compare(
         camera: the photo's camera.
         window: area of the photo that the crop shows (x0, y0, x1, y1) [px].
     """
-    if camera is None or window is None:
+    if camera is None or window is None or why_apart(spec, node, camera, window):
         return [crop, draw(spec, node, camera)]
     obj, points = _place(spec, node)
-    pixels, depth = camera.project(points)
-    extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-    frame = np.array(window)
-    low, high = np.maximum(extent[:2], frame[:2]), np.minimum(extent[2:], frame[2:])
-    visible_fraction = float(
-        np.prod(np.maximum(high - low, 0)) / max(float(np.prod(extent[2:] - extent[:2])), 1)
-    )
-    if depth.min() < NEAR_M or visible_fraction < MIN_VISIBLE:
-        return [crop, draw(spec, node, camera)]
+    extent, frame = _extent(camera, points), np.array(window)
     x0, y0, x1, y1 = (
         np.concatenate([np.minimum(extent[:2], frame[:2]), np.maximum(extent[2:], frame[2:])])
         .round(1)
@@ -178,6 +170,30 @@ def compare(
     lens = [round(camera.focal, 2), x0, y0, x1, y1, *np.round(window, 1).tolist()]
     shows = f"{crop.pixels}{spec.to_json()}{state}{place}{_numbers(view)}{lens}"
     return [DescribedPicture("compared", render_png, shows)]
+
+
+def why_apart(
+    spec: ObjectSpec, node: TreeNode, camera: Camera | None, window: Window | None
+) -> str:
+    """Return why `compare` does not draw the object beside the crop; empty if it does."""
+    if camera is None or window is None:
+        return "the direction of the photo is unknown"
+    _, points = _place(spec, node)
+    if camera.project(points)[1].min() < NEAR_M:
+        return f"the object reaches closer than {NEAR_M:g} m to the camera"
+    extent = _extent(camera, points)
+    low, high = np.maximum(extent[:2], window[:2]), np.minimum(extent[2:], window[2:])
+    area = max(float(np.prod(extent[2:] - extent[:2])), 1)
+    visible = float(np.prod(np.maximum(high - low, 0))) / area
+    if visible < MIN_VISIBLE:
+        return f"the crop shows {visible:.0%} of the object, the rest is cut off or elsewhere"
+    return ""
+
+
+def _extent(camera: Camera, points: NDArray) -> NDArray:
+    """Return the box of projected points (x0, y0, x1, y1) [px]."""
+    pixels, _ = camera.project(points)
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
 def _place(spec: ObjectSpec, node: TreeNode) -> tuple[SceneObject, NDArray]:

@@ -50,6 +50,14 @@ PHOTO_SCALE = 2
 MARGIN = 0.006
 """Width of the border around other objects that a print excludes, relative to the width of the
 rendered image."""
+NEARBY = 0.2
+"""Distance from the rendered outline of an object, relative to the shorter side of its 2D box,
+within which the photograph may show the object on its support."""
+UNLIKE, SPREAD = 20.0, 2.5
+"""Color difference from the support [CIE Lab, standard deviations] above which it does show it."""
+AROUND = 0.05
+"""Standard deviation of the distance of the support's pixels to compare with, relative to the width
+of the rendered image."""
 DEPTH_PX = 256
 """Approximate longer side of the depth image of a print [px]."""
 EDGE_STEPS = 2
@@ -77,7 +85,7 @@ def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
     size = (PHOTO_SCALE * camera.width, PHOTO_SCALE * camera.height_px)
     photo = np.asarray(Image.fromarray(photo).resize(size, Image.Resampling.LANCZOS))
     view = render(scene, camera, supersample=1, floor=False, shadows=False)
-    poses, ones = world_poses(scene), np.ones(2)
+    poses = world_poses(scene)
     masks = {name: view.segmentation == k for k, name in enumerate(view.names)}
     faces = flat_faces(view, View.of(camera))
     alignments = {i.name: _alignment(masks[i.name], i, camera, reduced) for i in scene.objects}
@@ -90,19 +98,16 @@ def printed(scene: SceneSpec, photo: NDArray) -> SceneSpec:
         if not mask.any() or alignment is None or not printable:
             objects.append(item)
             continue
-        stretch, shift = alignment
-        covered = np.zeros(mask.shape, bool)
-        for name, other in alignments.items():
-            if name != item.name:
-                # Exclude pixels at which the aligned photograph shows another object.
-                s, t = other or IDENTICAL
-                covered |= _warped(masks[name], (stretch / s, (shift - t) / s), ones, smooth=False)
-        if covered.any():
-            width = max(1, round(MARGIN * camera.width))
-            covered = ndimage.binary_dilation(covered, iterations=width)
-        source = mask & np.logical_not(covered)
-        aligned = _warped(photo, (stretch, shift), scale, smooth=True)
-        filled = _filled(aligned, source if source.any() else mask)
+        inside = _warped(np.ones(mask.shape, bool), alignment, np.ones(2), smooth=False)
+        own = _own_pixels(scene, item, photo, masks, alignments, reduced)
+        source = mask & inside & own
+        printable = {
+            key: pixels & inside for key, pixels in printable.items() if (pixels & source).any()
+        }
+        if not printable:
+            objects.append(item)
+            continue
+        filled = _filled(_warped(photo, alignment, scale, smooth=True), source)
         part_poses = link_poses(item.spec, item.joint_state)
         places = {
             part.name: poses[item.name].then(part_poses[part.name]) for part in item.spec.parts
@@ -255,6 +260,89 @@ def _warped(image: NDArray, alignment: Alignment, scale: NDArray, *, smooth: boo
         image.shape[1::-1], Image.Transform.AFFINE, coefficients, resample=resampling
     )
     return np.asarray(warped)
+
+
+def _own_pixels(
+    scene: SceneSpec,
+    item: SceneObject,
+    photo: NDArray,
+    masks: dict[str, NDArray],
+    alignments: dict[str, Alignment | None],
+    reduced: float,
+) -> NDArray:
+    """Return the pixels at which the aligned photograph shows no other object.
+
+    On supports, pixels near the outlines of objects are
+    excluded, too, if their colors differ from the support's: shapes of objects are simplified.
+
+    Args:
+        scene: the scene.
+        item: the object with which the photograph is aligned.
+        photo: the photograph, a multiple of the rendered image's size.
+        masks: pixels of each object in the rendered image.
+        alignments: alignments of the objects.
+        reduced: size of the rendered image relative to the image in which 2D boxes are given.
+    """
+    stretch, shift = alignments[item.name] or IDENTICAL
+    ones, shape = np.ones(2), masks[item.name].shape
+    covered, nearby = np.zeros((2, *shape), bool)
+    for other in scene.objects:
+        if other.name == item.name:
+            continue
+        s, t = alignments[other.name] or IDENTICAL
+        place = (stretch / s, (shift - t) / s)
+        shown = _warped(masks[other.name], place, ones, smooth=False)
+        covered |= shown
+        if item.environment and not other.environment:
+            nearby |= _nearby(shown, other, reduced)
+    width = max(1, round(MARGIN * shape[1]))
+    own = np.logical_not(ndimage.binary_dilation(covered, iterations=width))
+    known = own & masks[item.name] & ~nearby
+    if known.any():
+        unlike = own & nearby & _unlike(photo, known)
+        own &= np.logical_not(ndimage.binary_dilation(unlike, iterations=width))
+    return own
+
+
+def _nearby(shown: NDArray, item: SceneObject, reduced: float) -> NDArray:
+    """Return the pixels of an object's 2D box that are near the object.
+
+    The result is the whole box if no pixel of the object is known.
+
+    Args:
+        shown: pixels at which the photograph shows the object, according to the rendered image.
+        item: the object.
+        reduced: size of the rendered image relative to the image in which 2D boxes are given.
+    """
+    near = np.zeros(shown.shape, bool)
+    if item.box2d is None:
+        return near
+    x0, y0, x1, y1 = (round(reduced * side) for side in item.box2d.as_tuple())
+    near[max(y0, 0) : y1, max(x0, 0) : x1] = True
+    if shown.any():
+        away = np.asarray(ndimage.distance_transform_edt(np.logical_not(shown)))
+        near &= away <= NEARBY * min(x1 - x0, y1 - y0)
+    return near
+
+
+def _unlike(photo: NDArray, mask: NDArray) -> NDArray:
+    """Return the pixels whose colors differ from those of a mask's pixels around them.
+
+    A pixel differs if its color is farther from the mean than `UNLIKE` and than `SPREAD` standard
+    deviations, which are large on surfaces with a strong pattern. The color of a darker pixel is
+    compared with the mean in shadow.
+    """
+    small = np.asarray(Image.fromarray(photo).resize(mask.shape[::-1], Image.Resampling.BOX))
+    light, color = linear(small / 255.0), to_lab(small)
+    values = np.dstack([np.ones(mask.shape), light, color, (color**2).sum(axis=-1)])
+    sigma = (AROUND * mask.shape[1], AROUND * mask.shape[1], 0)
+    sums = ndimage.gaussian_filter(values * mask[..., None], sigma)
+    means = sums[..., 1:] / np.maximum(sums[..., :1], 1e-9)
+    variance = np.maximum(means[..., 6] - (means[..., 3:6] ** 2).sum(axis=-1), 0.0)
+    mean = means[..., :3]
+    shade = np.minimum(light.sum(-1) / np.maximum(mean.sum(-1), 1e-9), 1.0)
+    away = np.linalg.norm(color - _lab(shade[..., None] * mean), axis=-1)
+    return away > np.maximum(UNLIKE, SPREAD * np.sqrt(variance))
 
 
 def _filled(photo: NDArray, mask: NDArray) -> NDArray:
@@ -444,5 +532,5 @@ def _gain(
     return gains(least_squares(residuals, np.zeros(3), bounds=(-bounds, bounds)).x)
 
 
-def _lab(light: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+def _lab(light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return to_lab(255.0 * displayed(light))

@@ -1,7 +1,7 @@
 """Step 5: CEM-based scene refinement (paper Section 3.3, Algorithm 1)."""
 
 from .cem import CEM, CEMState, open_cem
-from .optimizer import OPTIMIZERS, Optimizer, from_evosax
+from .optimizer import OPTIMIZERS, Optimizer
 from .rewards import Term
 from .scene_refinement import Refined, refine
 
@@ -12,7 +12,6 @@ __all__ = [
     "Optimizer",
     "Refined",
     "Term",
-    "from_evosax",
     "open_cem",
     "refine",
 ]

@@ -2,13 +2,13 @@
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Int8
+from jaxtyping import Bool, Int8
 
 from ..config import RefineOptions
 from ..physics.array_types import AnyArray
@@ -17,12 +17,15 @@ from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
 from ..physics.placed import Placed, measure_in_chunks, place_in_chunks
 from ..physics.rest import settle
-from ..physics.scene_arrays import SceneArrays, pad_axis, pad_objects
-from ..spec import SceneSpec
-from .algorithm import Problem, Scores, evaluate
+from ..physics.scene_arrays import SceneArrays, on_device, pad_axis, pad_objects, pad_scene
+from .algorithm import Problem, Scores, evaluate, open_problem
+from .optimizer import Optimizer
+from .rewards import Term
 
 CLOCKS = ("settle", "rollout", "score", "wait")
 """Steps of a search whose time is measured."""
+PADDED_OPTIMIZERS = ("cem", "random")
+"""Optimizers that accept a padded scene."""
 
 
 @contextlib.contextmanager
@@ -107,26 +110,6 @@ class Evaluation(NamedTuple):
         motionless = zero_duration_rollout(self.arrays, placed.poses)
         return jax.device_get(evaluate(self.arrays, self.problem, layouts, motionless, placed))
 
-    def initial_round(self, scene: SceneSpec) -> Round:
-        """Return an iteration whose only candidate is the initial layout at its settled poses.
-
-        The candidate is repeated to the population size, so that functions which are compiled for
-        the search are used.
-
-        Args:
-            scene: the final scene of the initial layout.
-        """
-        rows = np.zeros(self.options.cem.population, int)
-        repeat = lambda tree: jax.tree.map(lambda x: np.asarray(x)[rows], tree)
-        origin = self.problem.origin
-        scale = np.exp(np.asarray(origin.log_scale)[:, : len(self.scene.names)])
-        rest = pad_objects(self.scene.poses(scene, scale), self.arrays.count)
-        rest = jax.tree.map(np.float32, rest)
-        single = self.roll_out(rest)
-        rollout = eqx.tree_at(lambda x: x.time, repeat(single), single.time)
-        scores = self.score(repeat(origin), repeat(self.measure(rest, rest)), rollout)
-        return self.round(origin, rest, jax.tree.map(lambda x: x[:1], scores))
-
     def round(
         self, layouts: Layout, poses: Poses, scores: Scores, sources: np.ndarray | None = None
     ) -> Round:
@@ -137,6 +120,43 @@ class Evaluation(NamedTuple):
     def unpadded(self, tree: Any) -> Any:
         """Remove padded objects from the arrays [pop, object, ...] of a pytree, on the host."""
         return jax.tree.map(lambda x: np.asarray(x)[:, : len(self.scene.names)], tree)
+
+
+def open_evaluation(
+    scene: SceneModel,
+    o: RefineOptions,
+    engine: Engine,
+    *,
+    held: Bool[np.ndarray, " object"] | None = None,
+    terms: Sequence[Term] = (),
+    optimizer: Optimizer | None = None,
+    clock: dict[str, float] | None = None,
+) -> Evaluation:
+    """Return the evaluation of a search that starts at the composed scene.
+
+    Args:
+        scene: the compiled scene.
+        o: options of the search.
+        engine: physics engine.
+        held: mask of the objects that are not sampled; they move only with their supports.
+        terms: reward terms in addition to those that the options name.
+        optimizer: replaces the optimizer that the options name.
+        clock: seconds spent on each step; updated in place.
+
+    Raises:
+        ConfigError: as `open_problem`.
+    """
+    padded = pad_scene(scene)
+    own = bool(terms or o.reward.terms or optimizer)
+    arrays = padded if not own and o.optimizer in PADDED_OPTIMIZERS else scene
+    moves = np.array(arrays.optimised)
+    if held is not None:
+        moves &= ~pad_axis(held, arrays.count)
+    moving = eqx.tree_at(lambda s: s.optimised, arrays, on_device(moves))
+    problem = open_problem(moving, o, terms=terms, optimizer=optimizer)
+    clock = {} if clock is None else clock
+    clock |= dict.fromkeys(CLOCKS, 0.0) | clock
+    return Evaluation(scene, arrays, padded, engine, o, problem, clock)
 
 
 def _with_first_objects(whole: np.ndarray, part: AnyArray) -> np.ndarray:

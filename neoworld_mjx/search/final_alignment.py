@@ -18,7 +18,7 @@ from ..estimate.image.rasterize import draw_scene, height_of, pixels_of
 from ..estimate.problem import FINE_PX
 from ..evidence.evidence import Evidence
 from ..measure import SceneMeasure
-from ..physics.model import compile_for_simulation
+from ..physics.model import CompiledScene, compile_for_simulation
 from ..render import visible_surface
 from ..spec import SceneSpec, world_poses
 from .finishing import check_settled
@@ -52,6 +52,7 @@ def align_final(
     *,
     evidence: Evidence | None = None,
     keep: Collection[str] = (),
+    world: CompiledScene | None = None,
 ) -> FinalAlignment:
     """Align the objects again that the refinement moved in the image.
 
@@ -71,6 +72,7 @@ def align_final(
         options: options of the alignment.
         evidence: depth image and masks.
         keep: names of objects that are not aligned again.
+        world: the compiled scene, at any sizes; by default, the aligned scene is compiled once.
 
     Returns:
         The new scene, or the refined scene if no object moved in the image, if none can be aligned
@@ -94,7 +96,8 @@ def align_final(
     owner = draw_scene(refined, camera, FINE_PX).owner
     for _ in range(TRIES):
         placed = _mixed(refined, again.scene, accepted)
-        finished = check_settled(compile_for_simulation(placed), placed, o)
+        world = world or compile_for_simulation(placed)
+        finished = check_settled(world, placed, o)
         rests, shown = finished.rests(o), draw_scene(finished.scene, camera, FINE_PX).owner
         faulty = [
             k

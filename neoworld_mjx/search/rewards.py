@@ -115,29 +115,15 @@ def drift_by_object(
 ) -> Float[Array, "pop object"]:
     """Return each object's largest drift, in units of the stability bounds.
 
-    It is the larger one of the drift of its joints and, if its base is free, the drift of its base.
+    It is the larger one of the displacement of its joints and, if its base is free, the drift of
+    its base. The bound of slides is `distance` [m]; the bound of all other joints is `angle` [rad].
     """
     moved, turned = drifts(scene, rollout)
     base = jnp.where(scene.movable, jnp.maximum(moved / distance, turned / angle), 0.0)
     if not len(scene.joint_object):
         return base
-    return jnp.maximum(base, joint_drift(scene, rollout, distance, angle))
-
-
-def joint_drift(
-    scene: SceneArrays,
-    rollout: Rollout,
-    distance: Float[Array, ""] | float,
-    angle: Float[Array, ""] | float,
-) -> Float[Array, "pop object"]:
-    """Return the largest displacement of a joint of each object, in units of the stability bounds.
-
-    The bound of slides is `distance` [m]; the bound of all other joints is `angle` [rad].
-    """
-    largest = jnp.max(rollout.joint_shift, axis=1)
-    shift = largest / jnp.where(scene.joint_slides, distance, angle)
-    zero = jnp.zeros((shift.shape[0], scene.count))
-    return zero.at[:, scene.joint_object].max(shift)
+    shift = jnp.max(rollout.joint_shift, axis=1) / jnp.where(scene.joint_slides, distance, angle)
+    return base.at[:, scene.joint_object].max(shift)
 
 
 def _poses(scene: SceneArrays, layouts: Layout, rollout: Rollout | None) -> Poses:
@@ -232,19 +218,16 @@ def _check(name: str, scene: Any, layouts: Any, rollout: Any) -> None:
             raise TypeError(f"{name} takes a {wanted} ({hint}), got a {type(value).__name__}")
     pop, count = np.shape(layouts.yaw)[0] if np.ndim(layouts.yaw) else 0, scene.count
     shapes = {"xy": (pop, count, 2), "yaw": (pop, count), "log_scale": (pop, count)}
-    for part, shape in shapes.items():
-        actual = np.shape(getattr(layouts, part))
-        if actual != shape:
-            raise ValueError(
-                f"{name}: layouts.{part} has shape {list(actual)}, for {count} objects it must be "
-                f"[pop, {', '.join(map(str, shape[1:]))}] with one pop for all parts"
-            )
+    actual = {f"layouts.{part}": np.shape(getattr(layouts, part)) for part in shapes}
+    expected = {f"layouts.{part}": shape for part, shape in shapes.items()}
     if rollout is not None:
-        moving = np.shape(rollout.pos)
-        if moving[:1] + moving[2:3] != (pop, count):
+        actual["rollout.pos"] = np.shape(rollout.pos)
+        expected["rollout.pos"] = (pop, *actual["rollout.pos"][1:2], count, 3)
+    for part, shape in expected.items():
+        if actual[part] != shape:
             raise ValueError(
-                f"{name}: rollout.pos has shape {list(moving)}, for {pop} candidates of {count} "
-                f"objects it must be [{pop}, time, {count}, 3]"
+                f"{name}: {part} has shape {list(actual[part])}, for {pop} candidates of {count} "
+                f"objects it must be {list(shape)}"
             )
 
 

@@ -15,19 +15,17 @@ from ..measure import SceneMeasure, scene_checks
 from ..mllm import Panel, Picture
 from ..physics.engine import Engine, on_cpu, open_engine
 from ..physics.layout import Layout
-from ..physics.model import SceneModel, is_optimised
+from ..physics.model import CompiledScene, SceneModel, compile_for_simulation, is_optimised
 from ..spec import SceneSpec, read_scene
-from .choosing import choose_winner
-from .evaluation import Round, timed
-from .finishing import Finished, compile_for_search, settle_and_check
-from .loop import Iteration, initial_line, search
+from .evaluation import Round, open_evaluation, timed
+from .finishing import INITIAL, Finished, Winner, choose_winner, settle_and_check
+from .loop import Iteration, search
 from .optimizer import Optimizer, optimizer_factory
 from .problem import open_terms
 from .rewards import Term
-from .scorer import ScoreSource, SemanticScorer
-
-NOT_SAMPLED = -1
-"""Status in the history of entries beyond the population of an iteration, which pad it."""
+from .scorer import SemanticScorer
+from .searched_scene import compile_for_search, with_resting_fixed
+from .user_terms import try_terms
 
 
 @dataclass(frozen=True, repr=False)
@@ -39,7 +37,7 @@ class Refined:
     measure: SceneMeasure
     """Measures of the winner's final check."""
     before: SceneMeasure
-    """Measures of the final check of the initial layout, which is the composed scene by default."""
+    """Measures of the final check of the initial layout, which is the composed scene."""
     layout: Layout
     """Layout of the winner, with a population axis of length 1."""
     history: dict[str, np.ndarray]
@@ -51,15 +49,13 @@ class Refined:
     """
     engine: str
     winner: tuple[int, int]
-    """(iteration, candidate); see `Winner.candidate`."""
+    """(iteration, candidate), both counted from 0; (-1, -1) for the initial layout."""
     finalists_tried: int
     """Number of candidates whose final scene was checked."""
     passed: bool
     """True if the winner passes the final check."""
     kept: tuple[str, ...]
     """Names of the optimized objects that rested in the initial layout."""
-    mean_log_scale: float
-    """Mean log scale of the winner's optimized objects."""
     seconds: dict[str, float]
     """Seconds spent on each step, and up to the first valid candidate (`to_valid`, NaN if there is
     none)."""
@@ -67,6 +63,8 @@ class Refined:
     """Descriptions of the fallbacks of this step."""
     scoring: dict[str, Any]
     """Calls, failures and cost of the semantic scorer; empty without a semantic scorer."""
+    world: CompiledScene
+    """The composed scene, compiled for the final checks; the final scene is a candidate of it."""
 
     def __repr__(self) -> str:
         """Summarize the search and the final check in a few lines."""
@@ -82,23 +80,28 @@ class Refined:
 
     @property
     def iterations(self) -> int:
-        """Number of iterations of the search; the evaluation of the initial layout is none."""
-        sampled = np.sum(self.history["status"] != NOT_SAMPLED, axis=1)
-        return len(sampled) - int(len(sampled) > 0 and sampled[0] == 1)
+        """Number of iterations of the search."""
+        return len(self.history["status"])
 
     @property
     def rollouts(self) -> int:
         """Number of candidates that were rolled out."""
-        return int(np.sum(self.history["status"] != NOT_SAMPLED))
+        return self.history["status"].size
+
+    @property
+    def mean_log_scale(self) -> float:
+        """Mean log scale of the winner's optimized objects."""
+        logs = np.asarray(self.layout.log_scale)[0, is_optimised(self.scene)]
+        return float(logs.mean()) if len(logs) else 0.0
 
     @property
     def scores(self) -> dict[str, float]:
-        """`reward`, `valid` and the terms of the winner, by name; empty if nothing was rolled out.
+        """`reward`, `valid` and the terms of the winner, by name; empty for the initial layout.
 
         They are those of the candidate in its rollout. The final scene is settled again, with a
         smaller time step, so it is close to the candidate, but not equal to it.
         """
-        if self.winner[0] < 0 or not self.rollouts:
+        if self.winner == INITIAL:
             return {}
         names = ("reward", "valid", *map(str, self.history["term_names"]))
         return {name: float(self.history[name][self.winner]) for name in names}
@@ -107,40 +110,26 @@ class Refined:
 def history_of(
     rounds: Sequence[Round], terms: Sequence[Term], names: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Return the arrays of `Refined.history`.
+    """Return the arrays of `Refined.history`, given iterations, reward terms and object names."""
 
-    Args:
-        rounds: the iterations, which are padded to the largest population.
-        terms: the reward terms.
-        names: names of the objects.
-    """
-
-    def stacked(read: Callable[[Round], Any], fill: Any) -> np.ndarray:
+    def stacked(read: Callable[[Round], Any], *empty: int) -> np.ndarray:
         rows = [np.asarray(read(round_)) for round_ in rounds]
-        pop = max(map(len, rows), default=0)
-        last = rows[0].shape[1:] if rows else ()
-        whole = np.full((len(rows), pop, *last), fill, rows[0].dtype if rows else None)
-        for row, values in zip(whole, rows, strict=True):
-            row[: len(values)] = values
-        return whole
+        return np.stack(rows) if rows else np.zeros((0, 0, *empty))
 
     history = {
-        "reward": stacked(lambda r: r.scores.reward, -np.inf),
-        "status": stacked(lambda r: r.scores.status, NOT_SAMPLED),
-        "valid": stacked(lambda r: r.scores.valid, False),
-        **{t.name: stacked(lambda r, t=t: r.scores.terms[t.name], np.nan) for t in terms},
-        **{
-            part: stacked(lambda r, part=part: getattr(r.layouts, part), np.nan)
-            for part in ("xy", "yaw", "log_scale")
-        },
+        "reward": stacked(lambda r: r.scores.reward),
+        "status": stacked(lambda r: r.scores.status),
+        "valid": stacked(lambda r: r.scores.valid),
+        **{t.name: stacked(lambda r, t=t: r.scores.terms[t.name]) for t in terms},
+        "xy": stacked(lambda r: r.layouts.xy, len(names), 2),
+        "yaw": stacked(lambda r: r.layouts.yaw, len(names)),
+        "log_scale": stacked(lambda r: r.layouts.log_scale, len(names)),
         "object_names": np.array(names),
         "term_names": np.array([term.name for term in terms]),
         "term_weights": np.array([float(term.weight) for term in terms], np.float32),
     }
     if any(round_.s_sem_from is not None for round_ in rounds):
-        geometric = lambda r: np.full(len(r.scores.valid), ScoreSource.GEOMETRIC, np.int8)
-        sources = lambda r: geometric(r) if r.s_sem_from is None else r.s_sem_from
-        history["s_sem_from"] = stacked(sources, ScoreSource.GEOMETRIC)
+        history["s_sem_from"] = stacked(lambda r: r.s_sem_from)
     return history
 
 
@@ -155,7 +144,6 @@ def refine(
     options: RefineOptions | None = None,
     *,
     seed: int = 0,
-    start: Layout | None = None,
     engine: Engine | EngineChoice | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
@@ -167,21 +155,23 @@ def refine(
     """Refine a composed scene (paper Section 3.3, Step 5).
 
     The composed scene is settled under guidance. If the settled scene passes the final check, it is
-    the result, and unless the scene was given compiled, nothing is compiled for a search or scored.
-    Otherwise the search perturbs the composed scene. It ends after T iterations, or as
-    soon as it has converged (see `algorithm.converged`).
+    the result, and nothing is compiled for a search or scored, unless there are terms of a user,
+    scores by a model or an optimizer that is passed. Otherwise the search perturbs the composed
+    scene. It ends after T iterations, or as soon as it has converged (see `algorithm.converged`).
+
+    Objects that rest are fixed where they settled, unless an object that carries them moves. With
+    terms of a user, scores by a model or an optimizer that is passed, every object moves.
 
     The candidates are then ranked: valid ones before all others, and both by reward. The winner is
     the first candidate in this order that passes the final check. If none of the first `finalists`
-    passes, the one that is closest to passing is returned, and `Refined.passed` is False.
+    passes, the final scene in which the fewest objects fail is returned, and `Refined.passed` is
+    False.
 
     Args:
         scene: the composed scene, compiled or not; or the path of a scene.json or of a run folder,
             from which the composed scene is read.
         options: options of the search, the rewards, the rollouts and the final check.
         seed: random seed of the populations.
-        start: initial layout, with a population axis of length 1. If None, it is the composed
-            scene.
         engine: physics engine or its name. If None, the options name the engine.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name; see `optimizer.Optimizer`.
@@ -199,57 +189,53 @@ def refine(
         TypeError: the scene has another type.
     """
     o = options or RefineOptions()
-    clock: dict[str, float] = {}
+    clock: dict[str, float] = {"compile": 0.0, "check": 0.0}
     if engine is None or isinstance(engine, str):
         engine = _open_engine(engine or o.rollout.engine, o)
+    spec = scene.spec if isinstance(scene, SceneModel) else open_scene(scene)
+    every = open_terms(o, terms)
+    optimizer_factory(o.optimizer)  # refuses a wrong name
+    by_model = o.semantic.scorer == "mllm" and o.reward.w_sem > 0
+    own = by_model or optimizer is not None or any(term.fn is not None for term in every)
+    rounds: list[Round] = []
     with on_cpu() if engine.name == "native" and _suits_cores(o) else contextlib.nullcontext():
-        initial = None
-        by_model = o.semantic.scorer == "mllm" and o.reward.w_sem > 0
-        if not isinstance(scene, SceneModel):
-            scene = open_scene(scene)
-            own = bool(terms or o.reward.terms or optimizer or by_model)
-            if start is None and o.settle.enabled and not own:
-                optimizer_factory(o.optimizer)  # refuses a wrong name
-                with timed(clock, "search"):
-                    initial = settle_and_check(scene, o)
-                if initial.passed:
-                    if progress is not None:
-                        progress(initial_line(initial, o))
-                    return _refined_at_rest(initial, engine, o, clock)
+        model = scene if isinstance(scene, SceneModel) else None
+        if own:
             with timed(clock, "compile"):
-                scene = compile_for_search(scene, o)
-        model = scene
-        scorer = SemanticScorer(model, photo, panel, o.semantic) if by_model else None
-        try:
-            result = search(
-                model,
-                o,
-                engine,
-                seed=seed,
-                start=start,
-                initial=initial,
-                terms=terms,
-                optimizer=optimizer,
-                scorer=scorer,
-                clock=clock,
-                progress=progress,
-                on_iteration=on_iteration,
-            )
-        finally:
-            if scorer is not None:
-                scorer.close()
-        with timed(clock, "check"):
-            winner = choose_winner(
-                model,
-                result.rounds,
-                o,
-                result.initial,
-                start,
-                result.evaluation.scene,
-                accept_initial=result.accept_initial,
-            )
-    moves = np.asarray(model.optimised)
-    logs = np.asarray(winner.layout.log_scale)[0, : len(moves)][moves]
+                model = model or compile_for_search(spec, o)
+            try_terms(model, every, o)
+        with timed(clock, "search"):
+            world = compile_for_simulation(spec)
+            initial = settle_and_check(world, spec, o)
+        if progress is not None:
+            progress(initial_line(initial, o))
+        winner, scorer = Winner(INITIAL, Layout.zero(1, len(world.names)), initial, 0), None
+        clock["to_valid"] = settled_s = clock["search"]
+        if own or not initial.passed or not o.settle.enabled:
+            held = initial.rests(o) & (o.cem.hold_resting and not own and not initial.passed)
+            with timed(clock, "compile"):
+                if held.any():
+                    model = compile_for_search(with_resting_fixed(spec, initial, o), o)
+                model = model or compile_for_search(spec, o)
+            scorer = SemanticScorer(model, photo, panel, o.semantic) if by_model else None
+            try:
+                with timed(clock, "search"):
+                    evaluation = open_evaluation(
+                        model, o, engine, held=held, terms=terms, optimizer=optimizer, clock=clock
+                    )
+                    rounds = search(
+                        evaluation,
+                        seed=seed,
+                        scorer=scorer,
+                        progress=progress,
+                        on_iteration=on_iteration,
+                    )
+            finally:
+                if scorer is not None:
+                    scorer.close()
+            clock["to_valid"] += settled_s
+            with timed(clock, "check"):
+                winner = choose_winner(world, model, rounds, o, initial)
     fallbacks = () if scorer is None else scorer.fallbacks
     if not winner.finished.passed:
         failed = [c.phrase() for c in scene_checks(winner.finished.measure, o) if not c.passed]
@@ -257,46 +243,32 @@ def refine(
             f"no candidate passed the final check in {winner.tried} tries; the closest one is "
             f"used: {'; '.join(failed)}",
         )
+    kept = np.flatnonzero(initial.rests(o) & is_optimised(spec))
     return Refined(
         scene=winner.finished.scene,
         measure=winner.finished.measure,
-        before=result.initial.measure,
-        layout=jax.tree.map(lambda x: np.asarray(x)[:, : len(moves)], winner.layout),
-        history=history_of(result.rounds, result.evaluation.problem.terms, model.names),
+        before=initial.measure,
+        layout=jax.tree.map(np.asarray, winner.layout),
+        history=history_of(rounds, every, world.names),
         engine=engine.name,
         winner=winner.candidate,
         finalists_tried=winner.tried,
         passed=winner.finished.passed,
-        kept=tuple(model.names[k] for k in np.flatnonzero(result.initial.rests(o) & moves)),
-        mean_log_scale=float(logs.mean()) if len(logs) else 0.0,
+        kept=tuple(world.names[k] for k in kept),
         seconds=clock,
         fallbacks=fallbacks,
         scoring={} if scorer is None else scorer.summary(),
+        world=world,
     )
 
 
-def _refined_at_rest(
-    initial: Finished, engine: Engine, o: RefineOptions, clock: dict[str, float]
-) -> Refined:
-    """Return the result for a composed scene that passes: nothing is compiled for a search."""
-    names = tuple(item.name for item in initial.scene.objects)
-    kept = initial.rests(o) & is_optimised(initial.scene)
-    return Refined(
-        scene=initial.scene,
-        measure=initial.measure,
-        before=initial.measure,
-        layout=Layout.zero(1, len(names)),
-        history=history_of((), open_terms(o), names),
-        engine=engine.name,
-        winner=(0, 0),
-        finalists_tried=0,
-        passed=True,
-        kept=tuple(name for name, at_rest in zip(names, kept, strict=True) if at_rest),
-        mean_log_scale=0.0,
-        seconds={"compile": 0.0, "check": 0.0, **clock, "to_valid": clock["search"]},
-        fallbacks=(),
-        scoring={},
-    )
+def initial_line(initial: Finished, o: RefineOptions) -> str:
+    """Return how many objects rest in the settled initial layout, and which do not."""
+    moving, objects = is_optimised(initial.scene), initial.scene.objects
+    failing = [objects[k].name for k in np.flatnonzero(moving & ~initial.rests(o))]
+    if not failing:
+        return f"all {int(moving.sum())} objects rest where they were placed"
+    return f"{len(failing)} of {int(moving.sum())} objects do not rest: {', '.join(failing)}"
 
 
 def _open_engine(name: str, o: RefineOptions) -> Engine:

@@ -11,9 +11,8 @@ The panel records the responses on its tape. A run that replays them, or that is
 same scores; the result is the same if no score was late.
 """
 
-import threading
 import time
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from enum import IntEnum
 from functools import cache
 from importlib import resources
@@ -24,8 +23,8 @@ from jaxtyping import Float, Int8
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from ..config import SemanticOptions
-from ..errors import BudgetError, ConfigError, ModelError, NeoWorldError
-from ..mllm import Panel, Picture, Request
+from ..errors import BudgetError, ConfigError, NeoWorldError
+from ..mllm import Panel, Picture, Request, Response
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout, Poses
 from ..physics.model import SceneModel
@@ -33,7 +32,7 @@ from ..render import render_plain
 from ..spec import SceneSpec
 
 PICTURE_PX = 320
-"""Width of the rendered image of a candidate [px]. Rendering competes with physics for the CPU."""
+"""Width of the rendered image of a candidate [px]."""
 GIVE_UP_AFTER = 5
 """Number of consecutive failures after which no more scores are requested."""
 
@@ -128,7 +127,7 @@ class ScoreSource(IntEnum):
 
 
 class SemanticScorer:
-    """Requests scores of candidates from a model, in threads.
+    """Requests scores of candidates from a model, which answers while physics runs.
 
     Args:
         model: the compiled scene.
@@ -161,17 +160,12 @@ class SemanticScorer:
         """Reason why no more requests are sent; None while requests are sent."""
         self._model, self._photo, self._panel, self._options = model, photo, panel, options
         self._geometric: Float[AnyArray, " pop"] = np.zeros(0)
-        self._pending: dict[int, Future[float]] = {}
-        """Scores of the last population, by candidate."""
+        self._pending: dict[int, Future[Response[Judgement]]] = {}
+        """Requests of the last population, by candidate."""
         self._differences: list[float] = []
         """Score by the model minus the geometric score, of every scored candidate."""
-        self._submitted, self._errors = 0, list[str]()
-        self._requests: list[Future[Any]] = []
-        self._lock, self._failed_in_row, self._requested_at = threading.Lock(), 0, 0.0
-        self._closed = False
-        self._spent_before = panel.ledger.spent_usd
-        # One thread renders while the others wait for responses.
-        self._threads = ThreadPoolExecutor(panel.options.concurrency + 1, "neoworld-score")
+        self._submitted, self._errors, self._failed_in_row = 0, list[str](), 0
+        self._requested_at, self._spent_before = 0.0, panel.ledger.spent_usd
 
     def submit(
         self,
@@ -180,7 +174,7 @@ class SemanticScorer:
         layouts: Layout,
         poses: Poses,
     ) -> None:
-        """Request scores of the `top` candidates of highest finite reward, and return at once.
+        """Render the `top` candidates of highest finite reward, and request their scores.
 
         Args:
             reward: reward that ranks the candidates; equal ones keep the order of the population.
@@ -190,12 +184,16 @@ class SemanticScorer:
         """
         rewards, self._geometric = np.asarray(reward, float), np.asarray(geometric, float)
         best = np.argsort(-np.where(np.isfinite(rewards), rewards, -np.inf), kind="stable")
-        self._pending = {
-            k: self._threads.submit(self._request_score, self._model.apply(layouts, k, poses))
-            for k in best[: self._options.top].tolist()
-            if np.isfinite(rewards[k])
-        }
-        self._submitted += len(self._pending)
+        chosen = [k for k in best[: self._options.top].tolist() if np.isfinite(rewards[k])]
+        self._submitted, self._pending = self._submitted + len(chosen), {}
+        if self.stopped is not None:
+            self._errors += [self.stopped] * len(chosen)
+            chosen = []
+        for k in chosen:
+            scene = self._model.apply(layouts, k, poses)
+            assert scene.camera is not None
+            picture = Picture.of("candidate", render_plain(scene, scene.camera, width=PICTURE_PX))
+            self._pending[k] = self._panel.ask_soon(score_request(self._photo, picture, scene))
         self._requested_at = time.monotonic()
 
     def collect(self) -> tuple[Float[np.ndarray, " pop"], Int8[np.ndarray, " pop"]]:
@@ -213,9 +211,10 @@ class SemanticScorer:
                 self._errors.append(f"later than {self._options.timeout_s:g} s")
                 continue
             try:
-                known[k] = future.result()
-            except (NeoWorldError, ValueError, CancelledError) as failure:
-                self._errors.append(str(failure) or type(failure).__name__)
+                known[k] = future.result().value.value
+                self._failed_in_row = 0
+            except NeoWorldError as failure:
+                self._count(failure)
         self._differences += [value - float(self._geometric[k]) for k, value in known.items()]
         # The mean is shrunk as if there were one more candidate, with a difference of zero.
         shift = sum(self._differences) / (len(self._differences) + 1)
@@ -224,6 +223,15 @@ class SemanticScorer:
         for k, value in known.items():
             values[k], sources[k] = value, ScoreSource.SCORED
         return values, sources
+
+    def _count(self, failure: NeoWorldError) -> None:
+        """Count a failed request; stop after GIVE_UP_AFTER in a row, or without budget."""
+        self._errors.append(str(failure))
+        self._failed_in_row += 1
+        if isinstance(failure, BudgetError):
+            self.stopped = self.stopped or str(failure)
+        elif self._failed_in_row >= GIVE_UP_AFTER and self.stopped is None:
+            self.stopped = f"{GIVE_UP_AFTER} consecutive scores failed; the last: {failure}"
 
     @property
     def fallbacks(self) -> tuple[str, ...]:
@@ -246,33 +254,6 @@ class SemanticScorer:
         }
 
     def close(self) -> None:
-        """End all requests, and abandon scores that have not been collected."""
-        with self._lock:
-            self._closed = True
-            for request in self._requests:
-                request.cancel()
-        self._threads.shutdown(cancel_futures=True)
-
-    def _request_score(self, scene: SceneSpec) -> float:
-        """Render a candidate and return its score by the model; runs in a worker thread."""
-        assert scene.camera is not None
-        with self._lock:  # One thread renders at a time.
-            if self.stopped is not None or self._closed:
-                raise ModelError(f"not requested: {self.stopped or 'the search has ended'}")
-            rgb = render_plain(scene, scene.camera, width=PICTURE_PX)
-            request = score_request(self._photo, Picture.of("candidate", rgb), scene)
-            future = self._panel.ask_soon(request)
-            self._requests.append(future)
-        try:
-            value = future.result().value.value
-        except ModelError as error:
-            with self._lock:
-                self._failed_in_row += 1
-                if isinstance(error, BudgetError):
-                    self.stopped = str(error)
-                elif self._failed_in_row >= GIVE_UP_AFTER:
-                    self.stopped = f"{GIVE_UP_AFTER} consecutive scores failed; the last: {error}"
-            raise
-        with self._lock:
-            self._failed_in_row = 0
-        return value
+        """Abandon scores that have not been collected; a paid response is still recorded."""
+        for future in self._pending.values():
+            future.cancel()

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from ..config import RefineOptions
 from ..errors import ConfigError, choices
 from ..physics.array_types import AnyArray
-from ..physics.engine import Rollout, RolloutStatus, record_steps, zero_duration_rollout
+from ..physics.engine import RolloutStatus, record_steps, zero_duration_rollout
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from .rewards import Term
@@ -101,39 +101,26 @@ def try_terms(scene: SceneModel, terms: Iterable[Term], options: RefineOptions) 
         (0.1 * jnp.arange(1, records + 1), *(jnp.repeat(x, records, axis=1) for x in motion)),
     )
     for term in own:
-        _try(term, scene, layouts, rollout)
-
-
-def _try(term: Term, scene: SceneModel, layouts: Layout, rollout: Rollout) -> None:
-    pop = layouts.yaw.shape[0]
-    where = f"reward term {term.name} ({source(term.fn)})"
-    if not callable(term.fn):
-        raise ConfigError(f"{where} is not a function of (scene, layouts, rollout)")
-    try:
-        value = eqx.filter_jit(term.fn)(scene, layouts, rollout)
-    except (Exception, SystemExit) as error:
-        text = str(error).strip().split("\n")[0]
-        raise ConfigError(
-            f"{where} cannot be called with (scene, layouts, rollout): "
-            f"{type(error).__name__}: {text}"
-        ) from error
-    values = np.asarray(value)
-    if not np.issubdtype(values.dtype, np.number):
-        kind = "None" if value is None else f"dtype {values.dtype}"
-        raise ConfigError(
-            f"{where} must return an array of shape [pop], one number per candidate, got {kind}"
-        )
-    if values.shape != (pop,):
-        got = list(values.shape) if values.ndim else "a scalar"
-        raise ConfigError(
-            f"{where} must return shape [pop], here [{pop}] for {pop} candidates, got {got}"
-        )
-    bad = ~np.isfinite(values)
-    if bad.any():
-        raise ConfigError(
-            f"{where} returned {values[bad][0]} for {int(bad.sum())} of {pop} candidates in which "
-            "no object moves"
-        )
+        where = f"reward term {term.name} ({source(term.fn)})"
+        if not callable(term.fn):
+            raise ConfigError(f"{where} is not a function of (scene, layouts, rollout)")
+        try:
+            values = np.asarray(eqx.filter_jit(term.fn)(scene, layouts, rollout))
+        except (Exception, SystemExit) as error:
+            text = str(error).strip().split("\n")[0]
+            raise ConfigError(
+                f"{where} cannot be called with (scene, layouts, rollout): "
+                f"{type(error).__name__}: {text}"
+            ) from error
+        pop = len(layouts.yaw)
+        if not np.issubdtype(values.dtype, np.number) or values.shape != (pop,):
+            got = f"{values.dtype} {list(values.shape)}" if values.ndim else f"a scalar ({values})"
+            raise ConfigError(
+                f"{where} must return one number per candidate, shape [pop], here [{pop}], "
+                f"got {got}"
+            )
+        bad = ~np.isfinite(values)
+        _refuse(term, values, bad, f"{len(bad)} candidates in which no object moves")
 
 
 def refuse_not_finite(
@@ -156,14 +143,19 @@ def refuse_not_finite(
     """
     simulated = ~np.isin(status, (RolloutStatus.FAILED, RolloutStatus.TRUNCATED))
     for term in terms:
-        found = np.asarray(values[term.name])
-        bad = simulated & ~np.isfinite(found)
-        if term.fn is not None and bad.any():
-            raise ConfigError(
-                f"reward term {term.name} ({source(term.fn)}) is {found[bad][0]} for "
-                f"{int(bad.sum())} of {len(bad)} candidates in {iteration}: return a finite "
-                "number for every candidate, for example by jnp.where"
-            )
+        if term.fn is not None:
+            own = np.asarray(values[term.name])
+            bad = simulated & ~np.isfinite(own)
+            _refuse(term, own, bad, f"{len(bad)} candidates in {iteration}")
+
+
+def _refuse(term: Term, values: np.ndarray, bad: np.ndarray, candidates: str) -> None:
+    if bad.any():
+        raise ConfigError(
+            f"reward term {term.name} ({source(term.fn)}) is {values[bad][0]} for "
+            f"{int(bad.sum())} of {candidates}: return a finite number for every candidate, for "
+            "example by jnp.where"
+        )
 
 
 def source(fn: Any) -> str:

@@ -13,7 +13,7 @@ from ..config import option_values
 from ..errors import ConfigError, RunError
 from ..io.files import content_hash
 from ..io.names import repeated
-from ..places import HERE, Place, check_place, run_tasks
+from ..machines import HERE, Machines, check_machines, run_tasks
 from ..progress import report
 from ..run_folder import versions
 from ..spec import SceneSpec
@@ -35,7 +35,7 @@ def sweep(
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
-    place: Place = HERE,
+    machines: Machines = HERE,
 ) -> SweepResult:
     """Refine scenes with every combination of the values of some options, and with several seeds.
 
@@ -50,16 +50,16 @@ def sweep(
         overwrite: replace the sweep in `out`.
         shard: (K, N) computes only the K-th of N shares of the runs. Compute every share in another
             process or on another machine, and join the folders by `merge`.
-        place: where the runs are computed.
+        machines: where the runs are computed.
 
     Raises:
         ConfigError: the plan is invalid. This is raised before any run.
-        EngineError: the cluster of `place` does not answer. This is raised before any run.
+        EngineError: the cluster of `machines` does not answer. This is raised before any run.
         SpecError: a scene does not exist.
         RunError: the folder cannot be written, is in use, or contains files that must not be
             replaced.
     """
-    return _run(read_plan(plan, Plan), out, cases, resume, overwrite, shard, place)
+    return _run(read_plan(plan, Plan), out, cases, resume, overwrite, shard, machines)
 
 
 def ablate(
@@ -70,13 +70,13 @@ def ablate(
     resume: bool = False,
     overwrite: bool = False,
     shard: tuple[int, int] = (1, 1),
-    place: Place = HERE,
+    machines: Machines = HERE,
 ) -> SweepResult:
     """Refine scenes with base options and named variants, and estimate the differences.
 
     The arguments and errors are those of `sweep`.
     """
-    return _run(read_plan(plan, Ablation), out, cases, resume, overwrite, shard, place)
+    return _run(read_plan(plan, Ablation), out, cases, resume, overwrite, shard, machines)
 
 
 def merge(
@@ -141,17 +141,17 @@ def _run(
     resume: bool,
     overwrite: bool,
     shard: tuple[int, int],
-    place: Place,
+    machines: Machines,
 ) -> SweepResult:
     number, count = shard
     if not 1 <= number <= count:
         raise ConfigError(f"shard: K/N with K from 1 to N, such as 2/4, got {number}/{count}")
     settings = points(plan)
     _refuse_scores_by_model(settings)
-    check_place(place)
-    cases = _cases(plan, scenes, place)
+    check_machines(machines)
+    cases = _cases(plan, scenes, machines)
     # Successive runs cost about the same, so taking every N-th run balances the shards.
-    every = _runs(plan, cases, settings, place)
+    every = _runs(plan, cases, settings, machines)
     runs = {(run.case.name, run.point.label, run.seed): run for run in every[number - 1 :: count]}
     if not runs:
         raise ConfigError(f"shard: {number}/{count} of {len(every)} runs is empty")
@@ -175,12 +175,12 @@ def _run(
         "machine": {
             "system": platform.platform(),
             "cores": os.cpu_count(),
-            "processes": 1 if place.ray is not None else place.processes,
+            "processes": 1 if machines.ray is not None else machines.processes,
             "devices": [f"{d.platform}: {d.device_kind}" for d in jax.devices()],
         },
     }
     if out is None:
-        return _compute(runs, {}, about, place, None)
+        return _compute(runs, {}, about, machines, None)
     with SweepFolder(out, kind, resume=resume, overwrite=overwrite) as folder:
         completed = folder.completed({key: run.fingerprint for key, run in runs.items()})
         # The labels of the points may have changed.
@@ -192,14 +192,14 @@ def _run(
         }
         if completed:
             report(f"{len(completed)} of {len(runs)} runs are complete")
-        return _compute(runs, completed, about, place, folder)
+        return _compute(runs, completed, about, machines, folder)
 
 
 def _compute(
     runs: Mapping[Key, Run],
     completed: dict[Key, Row],
     about: dict[str, Any],
-    place: Place,
+    machines: Machines,
     folder: SweepFolder | None,
 ) -> SweepResult:
     """Compute the runs that `completed` lacks, and save each of them."""
@@ -208,7 +208,7 @@ def _compute(
         folder.write_about(about | {"finished": False})
         folder.keep(_in_order(runs, completed))
     pending = [run for key, run in runs.items() if key not in completed]
-    for row in run_tasks(compute, pending, place):
+    for row in run_tasks(compute, pending, machines):
         completed[row_key(row)] = row
         if folder is not None:
             folder.add(row)
@@ -254,7 +254,7 @@ def _value_columns(about: Mapping[str, Any]) -> list[str]:
 
 
 def _runs(
-    plan: Plan | Ablation, cases: Sequence[Case], settings: Sequence[Point], place: Place
+    plan: Plan | Ablation, cases: Sequence[Case], settings: Sequence[Point], machines: Machines
 ) -> list[Run]:
     """Return all runs, in the order of the table."""
     runs = []
@@ -264,7 +264,7 @@ def _runs(
             shared = [versions(), scene.name, scene_hash, option_values(point.options)]
             for seed in plan.seeds:
                 fingerprint = content_hash([*shared, seed])[:16]
-                runs.append(Run(scene, point, seed, fingerprint, place.threads))
+                runs.append(Run(scene, point, seed, fingerprint, machines.threads))
     return runs
 
 
@@ -281,10 +281,12 @@ def _read_case(name: str) -> Iterator[Case]:
     yield case(name)
 
 
-def _cases(plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], place: Place) -> list[Case]:
+def _cases(
+    plan: Plan | Ablation, scenes: Sequence[Case | SceneSpec], machines: Machines
+) -> list[Case]:
     # Scenes of the benchmark are composed on this machine, which takes seconds.
     report(f"reading {len(plan.scenes)} scenes", step=f"reading {len(plan.scenes)} scenes")
-    here = Place(workers=place.workers) if place.ray is None else HERE
+    here = Machines(workers=machines.workers) if machines.ray is None else HERE
     named = {loaded.name: loaded for loaded in run_tasks(_read_case, plan.scenes, here)}
     cases = [named[name] for name in plan.scenes]
     cases += [scene if isinstance(scene, Case) else Case(scene.name, scene) for scene in scenes]

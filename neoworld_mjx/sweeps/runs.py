@@ -13,9 +13,9 @@ from ..physics.engine import open_engine
 from ..physics.layout import Layout
 from ..physics.model import SceneModel
 from ..physics.native import NativeEngine
-from ..search.finishing import compile_for_search
 from ..search.loop import Iteration
 from ..search.scene_refinement import Refined, read_composed, refine
+from ..search.searched_scene import compile_for_search
 from ..spec import SceneSpec
 from .plan import Point
 
@@ -61,7 +61,8 @@ COLUMNS: dict[str, type] = {
 - `xy_error_m`, `yaw_error_deg`, `scale_error` and `box_iou`: errors of the delivered scene, if the
   scene has ground truth. `box_iou` compares visible boxes with the parsed boxes.
 - `iterations_to_valid` and `rollouts_to_valid`: iterations and rollouts up to the end of the first
-  iteration with a valid candidate. They are 0 and 1 if the initial layout is valid.
+  iteration with a valid candidate. They are 0 if the initial layout passes the final check; it is
+  then not scored.
 - `seconds` and `to_valid_s`: times of the search and of its part up to the first valid candidate,
   without compilation.
 """
@@ -77,8 +78,7 @@ ITERATION_COLUMNS: dict[str, type] = {
 }
 """Columns of an iteration.
 
-- `iteration`: number of the iteration, counted from 1. With settling, the first one is the initial
-  layout.
+- `iteration`: number of the iteration, counted from 1.
 - `rollouts`: number of rollouts so far.
 - `best`: best reward so far.
 - `mean`: mean reward of the candidates that did not fail.
@@ -94,7 +94,8 @@ class Case:
     name: str
     scene: SceneSpec
     start: Callable[[SceneModel, int], Layout] | None = None
-    """Function that returns the initial layout for a seed, with a population axis of length 1.
+    """Function that returns a layout for a seed, with a population axis of length 1, of which the
+    initial scene is made.
 
     If None, the search starts at the composed scene."""
     errors: Callable[[SceneSpec], dict[str, float]] | None = None
@@ -141,13 +142,13 @@ def compute(run: Run) -> Iterator[Row]:
     A row has the columns KEYS, the values of the point, COLUMNS, and a column for each further
     reward term. Under "history" it has the iterations, with ITERATION_COLUMNS but without KEYS.
     """
-    options, start = run.point.options, None
+    options, scene = run.point.options, run.case.scene
     engine = open_engine(options.rollout.engine)
     if isinstance(engine, NativeEngine):
         engine.threads = run.threads
-    model = compile_for_search(run.case.scene, options)
     if run.case.start is not None:
-        start = run.case.start(model, run.seed)
+        model = compile_for_search(scene, options)
+        scene = model.apply(run.case.start(model, run.seed), 0)
     iterations: list[Iteration] = []
     compile_s: list[float] = []  # Time of compilation up to the end of each iteration.
     before = compiled().seconds
@@ -156,14 +157,17 @@ def compute(run: Run) -> Iterator[Row]:
         iterations.append(iteration)
         compile_s.append(compiled().seconds - before)
 
-    refined = refine(
-        model, options, seed=run.seed, start=start, engine=engine, on_iteration=on_iteration
-    )
+    refined = refine(scene, options, seed=run.seed, engine=engine, on_iteration=on_iteration)
     first = next((k for k, step in enumerate(iterations) if step.valid), None)
-    to_valid_s = rollouts = None
+    numbers: dict[str, Any] = {"iterations": None, "rollouts": None, "s": None}
     if first is not None:
-        to_valid_s = max(refined.seconds["to_valid"] - compile_s[first], 0.0)
-        rollouts = sum(step.candidates for step in iterations[: first + 1])
+        numbers = {
+            "iterations": first + 1,
+            "rollouts": sum(step.candidates for step in iterations[: first + 1]),
+            "s": max(refined.seconds["to_valid"] - compile_s[first], 0.0),
+        }
+    elif refined.passed:
+        numbers = {"iterations": 0, "rollouts": 0, "s": refined.seconds["to_valid"]}
     yield {
         "scene": run.case.name,
         "point": run.point.label,
@@ -173,15 +177,15 @@ def compute(run: Run) -> Iterator[Row]:
         **_score_columns(refined),
         "iterations": refined.iterations,
         "rollouts": refined.rollouts,
-        "iterations_to_valid": None if first is None else iterations[first].number,
-        "rollouts_to_valid": rollouts,
+        "iterations_to_valid": numbers["iterations"],
+        "rollouts_to_valid": numbers["rollouts"],
         "mean_log_scale": refined.mean_log_scale,
         "max_depth_m": refined.measure.max_depth_m,
         "max_drift_m": refined.measure.max_drift_m,
         "max_tilt_deg": refined.measure.max_tilt_deg,
         **_error_columns(run.case, refined.scene),
-        "seconds": max(refined.seconds["search"] - compile_s[-1], 0.0),
-        "to_valid_s": to_valid_s,
+        "seconds": max(refined.seconds["search"] - max(compile_s, default=0.0), 0.0),
+        "to_valid_s": numbers["s"],
         "engine": refined.engine,
         "fingerprint": run.fingerprint,
         "history": _iteration_rows(iterations),
@@ -191,7 +195,7 @@ def compute(run: Run) -> Iterator[Row]:
 def _score_columns(refined: Refined) -> Row:
     """Return the scores of the winning candidate; None if not finite."""
     scores = refined.scores
-    row: Row = {"valid": bool(scores.get("valid", False))}
+    row: Row = {"valid": bool(scores.get("valid", refined.passed))}
     for name in ("reward", *map(str, refined.history["term_names"])):
         value = scores.get(name, math.nan)
         column = name if name == "reward" else TERM_COLUMNS.get(name, TERM + name)

@@ -56,13 +56,13 @@ def open_target(path: Path, config: Config) -> ViewTarget:
         imported = import_file(path)
         if isinstance(imported, ImportedScene):
             return ViewTarget(path.name, imported.spec)
-        return ViewTarget(path.name, single_object_scene(imported.spec))
+        return ViewTarget(path.name, fixed_object_scene(imported.spec))
     is_spec = path.name == "spec.json"
     if is_spec or path.suffix == ".py":
         from ..verify.checking import object_of_file
 
         spec = object_of_file(path, config.program)
-        return ViewTarget(spec.name if is_spec else path.name, single_object_scene(spec))
+        return ViewTarget(spec.name if is_spec else path.name, fixed_object_scene(spec))
     if path.exists() and path.suffix != ".json":
         raise SpecError(
             f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
@@ -74,7 +74,7 @@ def open_target(path: Path, config: Config) -> ViewTarget:
     return ViewTarget(path.name, scene, picture=picture)
 
 
-def single_object_scene(spec: ObjectSpec) -> SceneSpec:
+def fixed_object_scene(spec: ObjectSpec) -> SceneSpec:
     """Return a scene of one object that is fixed to the floor."""
     return SceneSpec(objects=(SceneObject(name=spec.name, spec=spec, fixed_base=True),))
 

@@ -11,26 +11,28 @@ from neoworld_mjx.errors import RunError
 
 @pytest.fixture
 def tiny(monkeypatch):
-    words = "engines --scenes crowded:3 --engine native --population 4 --duration 0.04"
-    monkeypatch.setattr(all_tables, "TABLES", {"rates": words})
+    words = "tasks --task cube_on_cube --starts 1 --method truth"
+    monkeypatch.setattr(all_tables, "TABLES", {"success": words})
     monkeypatch.setattr(all_tables, "commit", lambda: "0123456789")
     monkeypatch.setattr("neoworld_bench.machine.commit", lambda: "0123456789")
 
 
 def test_a_table_is_made_once_by_its_command(tiny, tmp_path):
     made = all_tables.run_tables(tmp_path, (), 1, None)
-    assert made == {"files": ["rates.json"], "changes": []}
-    file = tmp_path / "rates.json"
+    assert made == {"files": ["success.json"], "changes": []}
+    file = tmp_path / "success.json"
     result = json.loads(file.read_text())
-    assert [row["population"] for row in result["rows"]] == [4]
+    assert result["methods"]["truth"]["success_on_truth"] == 1.0 and result["n"] == 1
+    assert "--task cube_on_cube" in result["command"]
+    assert {"device", "date", "machine"} <= set(result)
     before = file.stat().st_mtime_ns
-    all_tables.run_tables(tmp_path, ("rates",), 1, None)
+    all_tables.run_tables(tmp_path, ("success",), 1, None)
     assert file.stat().st_mtime_ns == before
     file.write_text(json.dumps({**result, "commit": "of another day"}))
     all_tables.run_tables(tmp_path, (), 1, None)
     assert json.loads(file.read_text())["commit"] == "0123456789"
     file.write_text("[]")
-    with pytest.raises(RunError, match=r"rates\.json is no JSON object"):
+    with pytest.raises(RunError, match=r"success\.json is no JSON object"):
         all_tables.run_tables(tmp_path, (), 1, None)
 
 

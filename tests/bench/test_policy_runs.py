@@ -1,8 +1,11 @@
 """Policies of reconstructions in the ground truth."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from neoworld_bench.methods.method_runs import MethodJob, RunSettings
+from neoworld_bench.methods.method_runs import MethodJob, RunSettings, run_jobs
+from neoworld_bench.noise.parse_noise import NoiseLog
 from neoworld_bench.rows import RowStore
 from neoworld_bench.tables.policy_figures import mean_maximum_rank_violation, policy_summary
 from neoworld_bench.tasks.catalogue import find_task
@@ -14,11 +17,13 @@ from neoworld_bench.tasks.policy_runs import (
     drawn_tasks,
     policy_rows,
 )
-from neoworld_bench.tasks.policy_tasks import contact, gripper_at, gripper_task, policy_task
+from neoworld_bench.tasks.policy_tasks import Effector, contact, policy_task, with_start_noise
 
-from neoworld_mjx.config import Config
+from neoworld_mjx.config import Config, load_config
 from neoworld_mjx.environments.policy import Setting
 from neoworld_mjx.environments.policy_environment import policy_observation
+from neoworld_mjx.environments.randomization import variants_of
+from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.training import Training
 from neoworld_mjx.spec.pose import pose
 from neoworld_mjx.spec.scene import transformed_scene
@@ -46,10 +51,9 @@ def test_a_policy_observes_the_same_wherever_the_scene_is():
     def observed(by):
         scene = transformed_scene(task.scene, pose((*by, 0.0), (1.0, 0, 0, 0)))
         plan = task.plan_in(scene)
-        own = gripper_task(
-            policy_task(task, scene, plan, task.predicate_in(scene)), gripper_at(plan, np.zeros(2))
-        )
-        return policy_observation(own, own.initial_state, np)
+        own = policy_task(task, scene, plan, task.predicate_in(scene))
+        flying = Effector.of(own, plan, None).on(own)
+        return policy_observation(flying, flying.initial_state, np)
 
     assert np.allclose(observed((0.0, 0.0)), observed((0.3, -0.1)), atol=1e-5)
 
@@ -81,7 +85,8 @@ def test_agreement_is_that_of_simpler():
 
 
 def test_policies_are_trained_in_the_reconstruction_and_run_in_the_truth(tmp_path):
-    config = Config()
+    quick = {"cem": {"population": 4, "iterations": 1}, "rollout": {"duration_s": 0.1}}
+    config = load_config(None, {"refine": quick, "compose": {"align": {"enabled": False}}})
     settings = RunSettings(0, config.refine, config.compose, "layout")
     training = Training(steps=64, samples=2, engine="native", snapshots=(0.1, 0.3, 1.0))
     o = PolicyTraining(training, 2, 2, Setting(task=".", horizon=3), tmp_path)
@@ -97,3 +102,53 @@ def test_policies_are_trained_in_the_reconstruction_and_run_in_the_truth(tmp_pat
     unknown = MethodJob("push_block", 0, ("scene",), settings, 1)
     broken = PolicyTraining(training, 2, 0, Setting(task="."), tmp_path / "other")
     assert "n is 0" in next(policy_rows(broken, unknown)).reason
+
+
+def test_a_robot_takes_the_place_of_the_gripper(tmp_path):
+    config, arm = Config(), Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
+    task = find_task("push_block")
+    own = policy_task(task, task.scene, task.plan, task.predicate)
+    effector = Effector.of(own, task.plan, str(arm))
+    robot = effector.on(own)
+    variants = with_start_noise(
+        robot, variants_of(robot.controlled, sample(task.scene, 2, sizes=False)), 0
+    )
+    root = robot.controlled.robot_root
+    apart = variants.fields["body_pos"][:, root] - robot.controlled.model.body_pos[root]
+    assert (np.abs(apart).max(axis=1) > 0).all() and np.abs(apart).max() < 0.2
+    there = effector.moved(np.array([0.1, -0.2])).on(own).controlled
+    shift = there.model.body_pos[root] - robot.controlled.model.body_pos[root]
+    assert np.allclose(shift, [0.1, -0.2, 0.0], atol=1e-6)
+    settings = RunSettings(0, config.refine, config.compose, "layout")
+    training = Training(steps=16, samples=2, engine="native", snapshots=(0.1, 0.3, 1.0))
+    o = PolicyTraining(training, 2, 2, Setting(task=".", horizon=3), tmp_path, str(arm))
+    [row] = policy_rows(o, MethodJob("push_block", 0, ("truth",), settings, 1))
+    # Nothing is reconstructed for a training in the ground truth.
+    assert row.shift_m == 0 and not o.reconstructions
+    assert not row.reason and row.results[-1].truth_n == 2
+    assert (tmp_path / "push_block-0-truth-arm" / "policy-1.npz").exists()
+
+
+def test_trainings_go_method_by_method_and_resume(tmp_path):
+    order = []
+
+    def work(job):
+        order.append((job.subject, *job.methods))
+        columns = job.columns(job.methods[0], NoiseLog())
+        yield PolicyRow(**columns, task=job.subject, kind="pushing", rollouts=0)
+
+    config = Config()
+    settings = RunSettings(0, config.refine, config.compose, "layout")
+    run = lambda store: run_jobs(
+        work, PolicyRow, starts={"a": [0], "b": [0]}, methods=("truth", "mean"),
+        settings=settings, store=store, in_turn=True,
+    )  # fmt: skip
+    store = RowStore(tmp_path / "rows.jsonl")
+    rows = run(store)
+    assert order == [("a", "truth"), ("b", "truth"), ("a", "mean"), ("b", "mean")]
+    assert [(row.task, row.method) for row in rows] == [
+        ("a", "truth"), ("a", "mean"), ("b", "truth"), ("b", "mean"),
+    ]  # fmt: skip
+    lines = (tmp_path / "rows.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "rows.jsonl").write_text("".join(lines[:3]))
+    assert run(RowStore(tmp_path / "rows.jsonl")) == rows and order[4:] == [("b", "mean")]

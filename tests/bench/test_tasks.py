@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from neoworld_bench.tasks.model_plans import (
     plan_rows,
     scene_of_method,
 )
+from neoworld_bench.tasks.plan_reliability import sampled_plans
 from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
 from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 
@@ -166,6 +168,38 @@ def test_success_summary_by_method_and_kind():
     assert success_interval(rows[:1], "success_on_truth") == (1.0, None, None)
     # Clopper and Pearson's interval of one of two tasks.
     assert ours["success_on_truth_interval"] == pytest.approx([0.0126, 0.9874], abs=1e-4)
+
+
+def test_reliability_compares_success_in_draws_with_success_in_the_truth():
+    row = partial(_row, kind="stacking", method="ours", draws=8)
+    rows = [
+        row("a", on_truth=True, predicted=0.9, chosen_predicted=0.9, chosen_on_truth=True),
+        row("b", on_truth=False, predicted=1.0, chosen_predicted=1.0, chosen_on_truth=True),
+        row("c", on_truth=False, predicted=0.1, chosen_predicted=0.5, chosen_on_truth=False),
+        row("d", on_truth=True, predicted=None),
+    ]
+    figures = task_summary(rows)["methods"]["ours"]
+    assert [(b["n"], b["success"]) for b in figures["reliability"]] == [(1, 0.0), (2, 0.5)]
+    assert figures["reliability_error"] == pytest.approx((0.1 + 2 * 0.45) / 3)
+    assert figures["success_of_chosen"] == pytest.approx(2 / 3)
+    assert figures["attempted"] == pytest.approx(2 / 3) and figures["success_of_attempted"] == 1.0
+    assert "reliability" not in task_summary(rows[3:])["methods"]["ours"]
+
+
+def test_the_plan_that_succeeds_in_the_most_draws_is_chosen():
+    """Offsets that all objects share are no failure; a block that is elsewhere is one."""
+    scene, away = TASK.scene, with_moved(TASK, [TASK.object], (0.06, 0.05, 0.0))
+    every = [item.name for item in scene.objects if not item.environment]
+    shared = with_moved(TASK, every, (0.02, 0.01, 0.0))
+    zero = np.zeros(2)
+    found = sampled_plans(TASK, scene, TASK.plan, [scene, shared, away], zero)
+    assert found.predicted == found.chosen_predicted == pytest.approx(2 / 3)
+    assert found.chosen_on_truth.success
+    wrong = TASK.plan.shifted((0.06, 0.05, 0.0))
+    found = sampled_plans(TASK, scene, wrong, [scene, shared], zero)
+    assert (found.predicted, found.chosen_predicted) == (0.0, 1.0)
+    assert found.chosen_on_truth.success
+    assert sampled_plans(TASK, scene, None, [], zero) is None
 
 
 def answer(plan):

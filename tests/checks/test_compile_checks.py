@@ -95,6 +95,7 @@ def test_mimic_joints_move_in_the_sweep():
     meet = text + follow.format(sign=1) + "multiplier=1.5)"
     assert codes(apart) == set()
     assert codes(meet) == {"overlap_in_motion"}
+    assert all("allow_overlap" in signal.hint for signal in build(meet).signals)
 
 
 LID = HEAD + "steel = o.material('lid_steel', like='stainless_steel')\n"

@@ -9,7 +9,7 @@ from neoworld_mjx.checks.joint_checks import check_joints
 from neoworld_mjx.checks.joint_sweep import overlap_signals, sweep_combinations, sweep_joints
 from neoworld_mjx.checks.static_checks import Probe
 from neoworld_mjx.config import ProgramOptions, VerifyOptions
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.spec import Box, ObjectSpec
 from neoworld_mjx.spec.kinematics import with_joint
 from tests.support.mechanisms import WOOD, geom, part

@@ -112,6 +112,8 @@ def built(tmp_path_factory):
                     seen["early build"] = await refused(
                         coffee.call("build", program="", object="cup")
                     )
+                    for tool in ("render", "check", "export"):
+                        seen[f"early {tool}"] = await refused(coffee.call(tool))
                     seen["early edit"] = await refused(coffee.call("edit", object="cup"))
                 if name.endswith("program-cup"):
                     program = response["program"]
@@ -169,6 +171,8 @@ def test_a_request_has_all_that_an_agent_needs(built):
     assert '"title":' not in text
     programs = [text for name, text in seen.items() if re.match(r"\d{4}-program-", name)]
     assert len(programs) == 3
+    # The requests of all objects are open together, although their pictures are drawn in turn.
+    assert "Open: 0003-program-saucer, 0004-program-cup, 0005-program-spoon" in programs[0]
     assert sum("# Writing an object program" in text for text in programs) == 1
     assert sum("next_request(id, repeat=true)" in text for text in programs) == 2
 
@@ -203,6 +207,8 @@ def test_a_rejection_lists_every_mistake(built):
     assert "camera.fovy_deg: Field required" in seen["rejected"]
     assert seen["accepted"].startswith("accepted\n")
     assert "the run has not finished: coffee-scene: waits for you" in seen["early edit"]
+    for tool in ("render", "check", "export"):
+        assert "no scene yet: coffee-scene: waits for you: 0001-parse" in seen[f"early {tool}"]
 
 
 def test_long_work_reports_progress(built):
@@ -446,6 +452,25 @@ def test_one_run_at_a_time_and_only_open_requests(tmp_path):
     asyncio.run(use())
 
 
+def test_instructions_come_again_after_start(tmp_path):
+    """A request of an earlier run, or one that an agent has forgotten, is no place to look."""
+    mailbox = tmp_path / "coffee-scene" / "mailbox"
+
+    async def use():
+        async with agent(tmp_path) as coffee:
+            await coffee.call("start", photo="coffee", options=OPTIONS)
+            assert "You look at one photograph" in (await coffee.next())[1]
+            (mailbox / "0007-earlier").mkdir()
+            (mailbox / "0001-parse").rename(tmp_path / "gone")  # The run stops.
+            assert "coffee-scene: stopped" in (await coffee.next())[1]
+            await coffee.call("start", photo="coffee", options=OPTIONS)
+            name, text = await coffee.next()
+            assert name == "0008-parse"
+            assert "You look at one photograph" in text and "as in the request" not in text
+
+    asyncio.run(use())
+
+
 def test_a_program_of_an_agent_is_confined(built, tmp_path):
     folder = copy_of(built[0], tmp_path)
     programs = {
@@ -508,9 +533,7 @@ def test_a_run_that_is_cut_off_continues_over_stdio(tmp_path):
     async def second():
         async with Client(server) as client:
             coffee = Agent(client, tmp_path)
-            while (text := (await coffee.next())[1]).count("-program-") < 4:
-                await asyncio.sleep(0.2)  # The requests of all objects open one after another.
-            return text
+            return (await coffee.next())[1]
 
     name = asyncio.run(first())
     assert name == "0003-program-saucer"

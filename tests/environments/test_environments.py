@@ -11,10 +11,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import neoworld_mjx as nw
-from neoworld_mjx.environments.arm import SceneState
+from neoworld_mjx.environments.arm import SceneState, scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.pose import from_yaw, rotate
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support.mechanisms import WOOD, geom, part, single
@@ -236,6 +237,81 @@ def test_gymnasium_makes_a_scene_by_its_name(scene):
     check_env(env.unwrapped)
     with pytest.raises(SpecError, match="render_mode: got 'human'"):
         gymnasium.make("neoworld/Scene-v0", run=scene, render_mode="human")
+
+
+def test_gymnasium_makes_a_batch_of_worlds(scene):
+    make = lambda **more: gymnasium.make_vec(
+        "neoworld_mjx.environments:neoworld/Scene-v0", num_envs=3, run=scene, horizon=4, **more
+    )
+    hand = {"gripper": "chest-drawer_handle", "drive_joints": True}
+    env = make(task="open the drawer", noise=nw.ResetNoise(joints=0.05), **hand)
+    assert isinstance(env, gymnasium.vector.VectorEnv)
+    env.action_space.seed(0)
+    assert isinstance(env.metadata["autoreset_mode"], gymnasium.vector.AutoresetMode)
+    starts = [env.reset(seed=seed)[0] for seed in (1, 1, 2)]
+    assert env.observation_space.contains(starts[0])
+    assert np.array_equal(starts[0]["joints"], starts[1]["joints"])
+    assert not np.array_equal(starts[0]["joints"], starts[2]["joints"])
+    assert len(set(starts[0]["joints"][:, 0].tolist())) == 3
+    opened = np.tile(env.unwrapped.env.controlled.hold_action, (3, 1))
+    opened[:, 0] = 0.2
+    for step in range(4):
+        obs, reward, terminated, truncated, info = env.step(opened)
+        assert env.observation_space.contains(obs) and reward.shape == (3,)
+        assert not terminated.any() and (truncated == (step == 3)).all()
+    assert info["progress"].shape == (3,) and info["success"].dtype == bool
+    last = obs["joints"]
+    obs, reward, _, truncated, _ = env.step(opened)  # starts the next episodes
+    assert (obs["joints"] < last).all() and not reward.any() and not truncated.any()
+    obs, reward, *_ = env.step(opened)
+    assert (reward > 0).all()
+    # Worlds do as single environments do.
+    single = gymnasium.make("neoworld/Scene-v0", run=scene, **hand)
+    alone, batch = single.reset(seed=0)[0], make(**hand)
+    together = batch.reset(seed=0)[0]
+    for _ in range(3):
+        alone, together = single.step(opened[0])[0], batch.step(opened)[0]
+    for name, values in together.items():
+        assert np.allclose(values, alone[name], atol=2e-4)
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(**hand))
+    wrapped.reset(seed=0)
+    for _ in range(4):
+        *_, info = wrapped.step(opened)
+    assert info["episode"]["l"].tolist() == [4, 4, 4]
+    with pytest.raises(SpecError, match="batches have no pictures"):
+        make(picture=(24, 36))
+
+
+def test_pictures_are_of_the_cameras_that_the_photograph_leaves_open(scene):
+    exact = gym_images(scene, nw.ResetNoise(photo=1.0))
+    moved = gym_images(scene, nw.ResetNoise(camera=1.0))
+    assert np.array_equal(exact[0], exact[1])  # no object of the scene is uncertain
+    assert not np.array_equal(moved[0], moved[1]) and not np.array_equal(moved[0], exact[0])
+
+
+def gym_images(scene, noise):
+    known = PoseCorrelation(camera=(0.02, 0.02, 0.05, 0.05))
+    camera = Camera(fovy=0.8, height=0.9, pitch=0.5, width=36, height_px=24)
+    scene = scene.model_copy(update={"camera": camera, "correlation": known})
+    env = nw.gym_env(scene, noise=noise, picture=(24, 36))
+    return [env.reset(seed=seed)[0]["picture"] for seed in (1, 2)]
+
+
+def test_handles_have_poses_and_touch_sensors(scene):
+    env = nw.gym_env(scene, drive_joints=True, gripper="chest-drawer_handle")
+    env.reset(seed=0)
+    name, controlled = "chest-drawer_handle", env.controlled
+    state = scene_state(env.data)
+    pos, quat = controlled.site(state, name)
+    tool = controlled.tool(state)
+    assert np.linalg.norm(pos - tool[0]) == pytest.approx(0.1, abs=1e-6)  # 10 cm in front
+    assert np.allclose(pos, env.data.site(name).xpos, atol=1e-9)
+    traced = jax.jit(lambda x, q: controlled.site(state._replace(xpos=x, xquat=q), name, jnp))
+    assert np.allclose(traced(state.xpos, state.xquat)[0], pos, atol=1e-5)
+    assert np.allclose(np.abs(quat), np.abs(state.xquat[env.model.site_bodyid[0]]), atol=1e-6)
+    assert env.data.sensor(f"{name}-touch").data[0] == 0
+    with pytest.raises(SpecError, match=r"site: .*did you mean 'chest-drawer_handle'"):
+        controlled.site(state, "chest-drawer_handel")
 
 
 def test_objects_are_left_out_by_name(scene):

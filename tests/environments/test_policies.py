@@ -1,6 +1,7 @@
 """Policies: optimization, files, evaluation and the command line."""
 
 import json
+import re
 import subprocess
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
+from neoworld_mjx.environments.own_reward import read_reward
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
 from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_action
 from neoworld_mjx.environments.randomization import variants_of
@@ -200,8 +202,41 @@ def test_training_writes_a_policy_and_resumes(scene, trained):
     assert [row["steps"] for row in rows] == [64, 128, 192, 256]
     assert resumed.about.steps == 256
     other = setting.model_copy(update={"horizon": 30})
-    with pytest.raises(SpecError, match="another task, robot or settings"):
+    with pytest.raises(SpecError, match="another task, robot, reward or settings"):
         train(scene, other, out, training=more, options=SMALL, resume=True)
+
+
+def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "scene.json").write_text(scene.to_json())
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import jax.numpy as jnp\n"
+        "def still(obs, action, data, previous):\n"
+        "    return 7.0 + 0 * jnp.sum(data.qpos - previous.qpos) + 0 * action[0]\n"
+        "def eager(obs):\n    return float(obs['joints'][0])\n"
+        "def many(obs):\n    return obs['joints'][:, None]\n"
+    )
+    small = ["--task", TASK, "--steps", 256, "--worlds", 8, "--samples", 0, "--engine", "native"]
+    told = neoworld("train", folder, *small, "--reward", f"{file}:still", "--json")
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["last"]["reward"] == pytest.approx(7.0, abs=1e-3)
+    assert read_policy(folder / "policy" / "policy.npz").about.reward == "still"
+    # A policy and a checkpoint have its name, which nothing imports.
+    told = neoworld("train", folder, *small, "--resume")
+    assert told.returncode == 2 and "another task, robot, reward or settings" in told.stderr
+    for name, message in {
+        f"{file}:eager": "reward eager: JAX cannot trace it (ConcretizationTypeError",
+        f"{file}:many": "reward many: returns shape (1, 1), not one number",
+        f"{file}:missing": "has no function missing; it has: still, eager, many",
+        f"{tmp_path / 'none.py'}:f": "there is no file",
+        "package.module:f": "is not of the form FILE.py:function",
+    }.items():
+        with pytest.raises(SpecError, match=re.escape(message)):
+            train(scene, Setting(task=TASK, gripper="chest-drawer_handle"), tmp_path / "never",
+                  training=Training(steps=1, samples=0, engine="native"), options=SMALL,
+                  reward=read_reward(name))  # fmt: skip
 
 
 def test_policies_are_evaluated_in_unseen_draws(scene, trained):

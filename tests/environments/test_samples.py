@@ -113,6 +113,26 @@ def test_the_scene_of_a_draw_is_the_simulated_model(samples):
     assert np.log(masses).std() == pytest.approx(PhysicalPrior().density, rel=0.4)
 
 
+def test_openings_vary_within_their_ranges_unless_another_joint_follows():
+    near_end, upper = 0.084, 0.1
+    state = {"fixed_base": True, "joint_state": {"hinge": near_end, "slide": 0.1}}
+    cabinet = (scenes.cabinet(), (0, 0), 0.0, state)
+    drawn = nw.sample(scenes.on_table(cabinet), 12, seed=1, options=OPTIONS)
+    names = drawn.model.static.joint_names
+    at = [names.index(f"cabinet-{name}") for name in ("hinge", "slide")]
+    change = np.asarray(drawn.poses.variation.opening)[:, at]
+    assert change[:, 0].std() > 0.02
+    assert change[:, 0].max() == pytest.approx(upper - near_end)
+    assert not change[:, 1].any() and drawn.stands.all()
+    scene = drawn.scene(3)
+    position = near_end + change[3, 0]
+    assert scene.object("cabinet").joint_state["hinge"] == pytest.approx(position)
+    start = compile_for_simulation(scene).static.start
+    np.testing.assert_allclose(
+        model_fields(drawn.model, drawn.poses, np)["qpos"][3], start, atol=1e-6
+    )
+
+
 def test_a_draw_is_measured_like_its_scene_alone():
     """The batch scales the meshes of its draws; a scene alone is compiled at its size."""
     given = known(along=0.002, across=0.002, yaw=0.05, log_scale=0.08)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from neoworld_mjx.estimate.prior import (
     ACROSS,
     DEPTH,
@@ -15,7 +16,6 @@ from neoworld_mjx.estimate.prior import (
     camera_deviations,
     prior_precision,
 )
-
 from neoworld_mjx.estimate.unknowns import FOCAL, STRETCH, TILT
 from neoworld_mjx.spec import HollowBox
 from tests.estimate import desk

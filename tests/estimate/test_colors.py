@@ -98,14 +98,6 @@ def test_gain_without_evidence():
     assert not is_supported(mask, disc(shape, (110, 120), 30), plain)
 
 
-def test_the_colors_support_the_mask_that_they_show():
-    shape = (240, 320)
-    right, wrong = disc(shape, (160, 120), 40), disc(shape, (168, 120), 40)
-    bins = LabImage.of(picture(shape, GRAY, (right, RED)), 320, 240).bins
-    assert is_supported(right, wrong, bins) and not is_supported(wrong, right, bins)
-    assert is_supported(wrong, wrong, bins)
-
-
 def test_a_mask_at_another_place_is_hidden_by_what_is_in_front():
     scene = desk.on_desk(
         (desk.block("front", 0.1, 0.1, 0.1, "red"), (-0.2, 0.0), 0.0, {}),

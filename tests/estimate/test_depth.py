@@ -9,7 +9,7 @@ import pytest
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align, align_again
 from neoworld_mjx.estimate.depth_start import place_by_depth, support_plane, with_measured_supports
-from neoworld_mjx.estimate.rows.depth import SceneDepth, measured_depth
+from neoworld_mjx.estimate.rows.depth import MeasuredDepth, SceneDepth, measured_depth
 from neoworld_mjx.estimate.unknowns import STEP, Unknowns
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
@@ -93,6 +93,20 @@ def test_jacobian_matches_the_change_of_residuals(five):
             local.append(np.sum(moved * pixels.normal, axis=1))
         slope = (local[1] - local[0]) / size
         assert rows.jacobian[:, u] == pytest.approx(slope, abs=20 * STEP)
+
+
+@pytest.mark.parametrize("kind", ["affine", "disparity"])
+def test_rows_of_scale_and_shift_match_the_change_of_residuals(five, kind):
+    true = depth_of(five, 320)
+    unknowns, depth = depth_at_start(five, DepthImage(true if kind == "affine" else 1 / true, kind))
+    k, step = five.index("box"), 1e-6
+    rows = depth.evidence(unknowns.neighbors(np.zeros(unknowns.size)), k, 0.1)
+    for column in (0, 1):
+        values, derivative = depth.measured
+        changed = MeasuredDepth(values + step * derivative[..., column], derivative)
+        residual = replace(depth, measured=changed).pixels(k).residual
+        slope = (residual - depth.pixels(k).residual) / step
+        assert rows.global_jacobian[:, column] == pytest.approx(-slope, rel=1e-4, abs=1e-6)
 
 
 def test_objects_come_to_their_measured_places(five, photo, wrong):

@@ -102,12 +102,6 @@ def test_every_stage_obeys_a_known_size(five, parsed, photo):
     assert (sigma.xy[0, can] > 0).all()
 
 
-def test_an_asset_keeps_its_size(five, parsed, photo):
-    asset = desk.block("box", 0.101, 0.081, 0.091, "red")
-    scene = placed(five, parsed, photo, KnownObjects(assets={"box": asset}))
-    assert scene.object("box").spec == asset
-
-
 def test_a_kept_object_stays_where_it_was_parsed(five, parsed, photo):
     scene = placed(five, parsed, photo, KnownObjects(keep=("can", "tower")))
     for name in ("can", "tower"):

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from neoworld_mjx.estimate.prior import camera_deviations, prior_precision
 
 from neoworld_mjx.estimate.image.colors import LabImage
 from neoworld_mjx.estimate.image.rasterize import draw_objects
+from neoworld_mjx.estimate.prior import camera_deviations, prior_precision
 from neoworld_mjx.estimate.rows.boxes import BOX, BOX_PX, box_evidence
 from neoworld_mjx.estimate.rows.contours import CONTOUR_PX, OBSERVATIONS, contour_evidence
+from neoworld_mjx.estimate.rows.linear import LinearEvidence
 from neoworld_mjx.estimate.solve import NormalEquations
 from neoworld_mjx.estimate.unknowns import CAMERA
 from tests.estimate import desk
@@ -33,10 +34,13 @@ class Linearized:
         args = self.unknowns, self.now, self.neighbors, self.drawn, image, k
         return contour_evidence(*args, reach=10.0, step=1.0)
 
-    def equations(self):
+    def prior(self):
         deviations = camera_deviations((), {}, misjudged=False)
-        prior = prior_precision(self.unknowns, self.now, self.x, deviations)
-        return NormalEquations(self.unknowns, prior, self.x, mean=np.zeros_like(self.x))
+        return prior_precision(self.unknowns, self.now, self.x, deviations)
+
+    def equations(self, mean=0.0, **more):
+        mean = np.full_like(self.x, mean)
+        return NormalEquations(self.unknowns, self.prior(), self.x, mean=mean, **more)
 
 
 @pytest.fixture(scope="module")
@@ -111,3 +115,19 @@ def test_equations_without_a_contour_are_those_that_never_had_it(five, image):
     two = here.unknowns.columns(2)
     assert spread[0][two][1] < 0.25 * spread[1][two][1]
     assert prior.solved() == pytest.approx(0.0, abs=1e-12)
+    assert here.equations(mean=0.002).solved() == pytest.approx(0.002, abs=1e-12)
+
+
+def test_an_unknown_offset_of_the_rows_widens_the_covariance(five):
+    """Rows with a common unknown offset tell only of the differences from their mean."""
+    here, count = Linearized(five), desk.unknowns_of(five).size
+    box = here.box(3)
+    jacobian, one = box.jacobian.copy(), np.ones((4, 1))
+    jacobian[:, count:] = 0.0  # none of stretches
+    equations = here.equations(global_count=1)
+    equations.add_depth(3, LinearEvidence(jacobian, box.residual, box.weight, one))
+    weight = np.diag(box.weight)
+    weight = weight - weight @ one @ one.T @ weight / box.weight.sum()
+    rows = jacobian[:, :count]
+    expected = np.linalg.inv(here.prior()[:count, :count] + rows.T @ weight @ rows)
+    np.testing.assert_allclose(equations.covariance(), expected, rtol=1e-3, atol=1e-9)

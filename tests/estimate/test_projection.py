@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from neoworld_mjx.estimate.tree.categories import CATEGORIES, category_of
 
+from neoworld_mjx.estimate.tree.categories import CATEGORIES, category_of
 from neoworld_mjx.estimate.tree.projection import (
     edges_in_view,
     expected_box,

@@ -59,10 +59,3 @@ def test_both_sides_of_a_triangle_are_visible_and_none_behind_the_camera():
         assert (draw_objects([hidden], camera, 64).owner == -1).all()
     both = draw_objects([behind, ahead], camera, 64)
     assert np.array_equal(both.owner == 1, first.owner == 0)
-
-
-def test_pixels_are_those_of_the_camera_at_its_width():
-    points = np.array([[0.8, 0.1, 0.0], [1.2, -0.3, 0.1]])
-    at_camera, depth = desk.CAMERA.project(points)
-    pixels, same = pixels_of(desk.CAMERA, points, 160)
-    assert np.allclose(pixels, at_camera / 4) and np.array_equal(depth, same)

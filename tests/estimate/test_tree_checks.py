@@ -1,8 +1,8 @@
 import math
 
 import pytest
-from neoworld_mjx.estimate.tree.sides import hidden_sides
 
+from neoworld_mjx.estimate.tree.sides import hidden_sides
 from neoworld_mjx.estimate.tree.tree_checks import agreement, check_score, check_tree
 from neoworld_mjx.estimate.tree.tree_prior import camera_sd
 from neoworld_mjx.spec import Box2D

@@ -83,27 +83,6 @@ def test_a_limit_that_urdf_omits_is_0(tmp_path, kind, stated, missing, limits):
     assert f"joint j states no {missing} limit: it is 0, as in URDF" in imported.notes
 
 
-def test_the_reference_position_of_a_joint_is_noted(tmp_path):
-    path = tmp_path / "a.xml"
-    path.write_text(
-        "<mujoco><worldbody><body><freejoint/><geom size='.1'/><body pos='0 0 .2'>"
-        "<joint name='j' type='slide' range='.1 .4' ref='.3'/><geom size='.05'/>"
-        "</body></body></worldbody></mujoco>"
-    )
-    imported = import_file(path)
-    (joint,) = imported.spec.joints
-    assert (joint.lower, joint.upper) == pytest.approx((-0.2, 0.1))
-    assert "joint j: its reference position 0.3 is 0 here" in imported.notes
-
-
-def test_colliders_that_only_visual_shapes_give_are_noted(tmp_path):
-    path = tmp_path / "a.urdf"
-    text = urdf("<box size='.2 .2 .2'/>")
-    path.write_text(text[: text.index("<collision>")] + "</link></robot>")
-    imported = import_file(path)
-    assert imported.notes == ("link a has no colliders: derived from its visuals: the same shapes",)
-
-
 def test_changed_names_of_links_and_joints_are_noted(tmp_path):
     joint = (
         f"<link name='arm/1'>{MASS}<collision><geometry><sphere radius='.1'/></geometry>"

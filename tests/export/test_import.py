@@ -6,10 +6,7 @@ import pytest
 
 from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export import (
-    import_mjcf,
-    import_urdf,
-)
+from neoworld_mjx.export import read_mjcf
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh
@@ -58,7 +55,7 @@ def test_notes_list_omissions_and_assumptions(tmp_path):
             "<transmission name='t'/>",
         )
     )
-    result = import_urdf(path)
+    result = import_file(path)
     # The world has no geometry and is the base; the tip moves by itself and gets a ball.
     assert [p.name for p in result.spec.parts] == ["base_link", "p_1arm", "tip"]
     assert result.spec.root == "base_link"
@@ -109,7 +106,7 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
     path.write_text(
         urdf("<link name='u'><visual><geometry><mesh filename='u.obj'/></geometry></visual></link>")
     )
-    result = import_urdf(path)
+    result = import_file(path)
     (geom,) = result.spec.parts[0].geoms
     assert isinstance(geom.shape, Mesh)
     assert geom.role == "both"
@@ -117,7 +114,7 @@ def test_meshes_without_colliders_are_decomposed_and_cached(tmp_path, monkeypatc
     assert len(geom.shape.surface()[1]) == 28
     assert any("no colliders" in note for note in result.notes)
     monkeypatch.setattr(decompose, "call_limited", lambda *_, **__: pytest.fail("it was kept"))
-    assert import_urdf(path).spec == result.spec
+    assert import_file(path).spec == result.spec
 
 
 def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
@@ -125,7 +122,7 @@ def test_a_file_of_several_objects_is_refused_with_their_names(tmp_path):
     body = "<body name='{}'><geom size='0.1'/></body>"
     path.write_text(f"<mujoco><worldbody>{body.format('a')}{body.format('b')}</worldbody></mujoco>")
     with pytest.raises(SpecError, match="a, b"):
-        import_mjcf(path)
+        read_mjcf(path)
 
 
 STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><body name="stove">
@@ -141,7 +138,7 @@ STOVE = """<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/><worldbody><
 def test_visual_links_merge_with_the_link_they_are_fixed_to(tmp_path):
     path = tmp_path / "stove.xml"
     path.write_text(STOVE)
-    result = import_mjcf(path)
+    result = import_file(path)
     assert [part.name for part in result.spec.parts] == ["stove", "knob"]
     assert [geom.role for geom in result.spec.part("stove").geoms] == ["collision", "visual"]
     # The burner weighs as much as the compiler's lower bound of a mass.

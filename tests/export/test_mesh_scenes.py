@@ -7,11 +7,9 @@ import pytest
 
 from neoworld_mjx.errors import EvidenceError, SpecError
 from neoworld_mjx.evidence.camera_files import read_camera
+from neoworld_mjx.evidence.file_camera import known_camera
 from neoworld_mjx.export.importing import ImportedScene, import_file
-from neoworld_mjx.export.read_mesh_scene import (
-    read_mesh_scene,
-    viewpoint,
-)
+from neoworld_mjx.export.read_mesh_scene import read_mesh_scene
 from neoworld_mjx.render import visible_surface
 from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose
@@ -68,8 +66,8 @@ def test_poses_in_the_frame_of_a_camera(tmp_path):
         assert np.allclose(world_poses(read.spec)[name].pos, pos, atol=1e-9)
     assert read.spec.gravity == (0, 0, -9.81) and read.in_camera
     assert np.allclose(np.array(read.camera.pose)[:3, :3], axes)
-    shown = viewpoint(read.camera.model_copy(update={"fovy": 0.7}), 160, 120)
-    assert shown.camera.pitch == pytest.approx(0.6) and shown.camera.roll == pytest.approx(0)
+    known, _ = known_camera(read.camera, (160, 120), "poses.json")
+    assert known.pitch == pytest.approx(0.6) and known.roll == pytest.approx(0)
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
@@ -81,13 +79,11 @@ def test_camera_of_a_gltf_scene_is_where_the_scene_has_it(tmp_path, scale):
     turned = transformed_scene(given, by)
     file = write_glb(tmp_path / "desk.glb", turned, camera=(camera, by), camera_scale=scale)
     read = import_file(file)
-    shown = viewpoint(read.camera, 160, 120)
-    back = transformed_scene(read.spec, shown.scene_transform)
-    assert shown.camera.model_dump() == pytest.approx(
-        camera.model_copy(update={"height": camera.height + 0.1}).model_dump(), abs=1e-6
-    )
-    for name, at in world_poses(given).items():
-        assert np.allclose(world_poses(back)[name].pos, at.pos + [0, 0, 0.1], atol=1e-6)
+    known, _ = known_camera(read.camera, (camera.width, camera.height_px), "desk.glb")
+    assert known.camera(camera).model_dump() == pytest.approx(camera.model_dump(), abs=1e-6)
+    assert known.base == pytest.approx((0.3, -0.2, camera.height + 0.1), abs=1e-6)
+    assert known.heading == pytest.approx(0.7)
+    assert_same_surfaces(read.spec, turned)
 
 
 @pytest.mark.parametrize(

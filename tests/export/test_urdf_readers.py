@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, import_mjcf, import_urdf
+from neoworld_mjx.export import export_object, import_file
 from neoworld_mjx.spec import HollowBox, ObjectSpec
 from tests.support.mechanisms import WOOD, geom, joint, part
 
@@ -69,7 +69,7 @@ def test_only_colliders_of_moving_parts_are_shrunk(folder):
 
 
 def test_surface_friction_is_read_back_from_urdf(folder):
-    result = import_urdf(folder / "object.urdf").spec
+    result = import_file(folder / "object.urdf").spec
     materials = {
         geom.name: result.material(geom.material).friction
         for part in result.parts
@@ -86,12 +86,12 @@ def test_surface_friction_is_read_back_from_urdf(folder):
     root.remove(root.find("neoworld"))
     foreign = folder / "foreign.urdf"
     ET.ElementTree(root).write(foreign)
-    assert {m.friction for m in import_urdf(foreign).spec.materials} >= {lateral}
+    assert {m.friction for m in import_file(foreign).spec.materials} >= {lateral}
 
 
 @pytest.mark.parametrize("file", ["object.urdf", "object.xml"])
 def test_sites_and_handles_are_read_back(file, folder, cabinet):
-    made = (import_urdf if file.endswith("urdf") else import_mjcf)(folder / file).spec
+    made = import_file(folder / file).spec
     sites = {site.name: site for site in made.sites}
     # Imported objects stand in the middle of their own box.
     low = np.array(sites["pull"].pos) - (0.21, -0.18, 0.15)

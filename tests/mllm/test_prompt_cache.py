@@ -3,7 +3,6 @@
 import threading
 
 from neoworld_mjx.mllm import Usage, server
-from neoworld_mjx.mllm.requests import response_rule
 from tests.mllm.conftest import ask_all
 from tests.support.model_server import GOOD, answer_of, http
 
@@ -39,11 +38,3 @@ def test_one_request_writes_the_instructions_and_the_others_read_them(make, conn
     assert script.reads[6:] == [False, True, True]
     usage = panel.ledger.to_json()["tokens"]
     assert usage == vars(Usage(input=2 * 1010 + 7 * 10, output=18, cache_read=7000))
-
-
-def test_a_schema_in_a_prompt_is_short(make):
-    request = make.request(schema=make.Shade)
-    rule = response_rule(request)
-    assert '"title"' not in rule
-    assert '"required":["name","depth"]' in rule
-    assert '"title"' in str(request.json_schema).replace("'", '"')  # The key is as it was.

@@ -6,7 +6,6 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-from pydantic import create_model
 
 from neoworld_mjx.errors import BudgetError, MissingResponseError, ModelError
 from neoworld_mjx.mllm import Picture, ask_or_record
@@ -56,19 +55,6 @@ def test_data_that_is_no_picture_is_rejected():
         Picture.of("photo", np.zeros((3, 3, 3)))
     with pytest.raises(ModelError, match="'photo' cannot be decoded"):
         _ = Picture("photo", b"\x89PNG\r\n\x1a\nnothing").pixels
-
-
-def test_a_renamed_class_with_its_former_title_keeps_the_key(make):
-    def schema_of(outer: str, inner: str):
-        config = {"title": "Depth"}
-        depth = create_model(inner, __config__=config, metres=(float, ...))
-        return create_model(outer, __config__={"title": "Shade"}, depths=(list[depth], ...))
-
-    before = make.request(schema=schema_of("Shade", "Depth"))
-    after = make.request(schema=schema_of("Shading", "Distance"))
-    assert after.json_schema == before.json_schema
-    assert set(after.json_schema["$defs"]) == {"Depth"}
-    assert after.key == before.key
 
 
 @pytest.mark.parametrize(

@@ -32,10 +32,6 @@ def test_json_is_found(text):
     assert read_response(text, Node).name == "cup"
 
 
-def test_lists_become_tuples():
-    assert read_response('{"name": "cup", "size": [1, 2]}', Node).size == (1.0, 2.0)
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -56,8 +56,8 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
     call = call.replace('"reward"', small)
     space = {"scene": scenes.blocks()}
     exec(call, space)
-    # The initial layout, and one iteration: with a user's term a scene that passes is searched.
-    assert space["refined"].history["reward"].shape == (2, 16)
+    # With a user's term a scene that passes is searched.
+    assert space["refined"].history["reward"].shape == (1, 16)
     assert space["refine"] is refine
 
 

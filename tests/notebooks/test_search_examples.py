@@ -13,10 +13,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 import yaml
 
-from tests.support.scenes import stored_scene
+import neoworld_mjx as nw
+from neoworld_mjx.config import CEMOptions
+from tests.support.scenes import compile_scene, stored_scene
 
 FOLDER = Path(__file__).parents[2] / "examples" / "search"
 
@@ -53,7 +58,7 @@ def test_one_program_searches_with_several_weights(capsys):
 @pytest.mark.slow
 def test_a_reward_reads_the_rollout(capsys):
     said = run("3_reward_of_the_rollout.py", capsys)
-    assert said.startswith("33 rollouts")
+    assert said.startswith("32 rollouts")
     (speed,) = numbers(r"winner: ([\d.]+) m/s", said)
     assert 0 <= speed < 0.05
 
@@ -66,6 +71,27 @@ def test_gradient_steps_reduce_the_penetration(capsys):
 
 def test_an_optimizer_of_ones_own_searches(capsys):
     assert re.match(r"\d+ iterations, passed: True", run("5_custom_optimizer.py", capsys))
+
+
+def test_a_strategy_of_evosax_draws_what_it_draws_by_itself():
+    """The same keys give the same populations as evosax's own loop on the same losses."""
+    algorithms = pytest.importorskip("evosax.algorithms", reason="needs the extra baselines")
+    module = runpy.run_path(str(FOLDER / "evosax_optimizer.py"))
+    scene, options = compile_scene(stored_scene("crowded_2"), samples=16), CEMOptions(population=8)
+    optimizer, flat = module["__getattr__"]("SNES")(scene, options), module["flat"]
+    zero, free = nw.Layout.zero(1, scene.count), np.asarray(optimizer.free)
+    es = algorithms.algorithms["SNES"](8, np.zeros(len(free), np.float32))
+    params, state = es.default_params, optimizer.init(zero)
+    inner = es.init(jax.random.key(0), jnp.zeros(len(free)), params)
+    for t in range(3):
+        key = jax.random.key(t)
+        layouts = optimizer.ask(key, state, 8)
+        drawn, inner = es.ask(key, inner, params)
+        found = flat(layouts)[:, free] / flat(optimizer.sigma)[:, free]
+        np.testing.assert_allclose(found, drawn, rtol=2e-4, atol=2e-4)
+        loss = jnp.sum((drawn - 0.7) ** 2, axis=1)
+        inner, _ = es.tell(jax.random.fold_in(key, 1), drawn, loss, inner, params)
+        state = optimizer.tell(state, layouts, -loss, key=key)
 
 
 @pytest.mark.slow

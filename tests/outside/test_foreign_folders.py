@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.config import Config, FileOptions
-from neoworld_mjx.errors import ConfigError, NeoWorldError, RunError
+from neoworld_mjx.errors import ConfigError, RunError
 from neoworld_mjx.io import bounded_by
 from neoworld_mjx.io.files import write_atomic, write_inside
 from neoworld_mjx.pipeline import refine_again
@@ -196,12 +196,3 @@ def test_no_module_of_a_foreign_run_is_imported(tmp_path, monkeypatch, option, n
         with pytest.raises(ConfigError, match=f"{name}' is unknown; write it as package.module"):
             import_function("refine.optimizer", name, {})
     assert not (tmp_path / "imported").exists()
-
-
-def test_a_refinement_of_a_foreign_run_touches_nothing_outside(tmp_path, outside):
-    step = {"inputs": {}, "outputs": {"../outside/precious.txt": "0" * 64}}
-    out = _run(tmp_path / "out", steps={"refine": step})
-    (out / "compose").mkdir()
-    (out / "compose" / "scene.json").write_text("{}")
-    with pytest.raises(NeoWorldError, match="leads out of the folder"):
-        refine_again(out)

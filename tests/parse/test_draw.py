@@ -4,6 +4,7 @@ import numpy as np
 from PIL import Image
 
 from neoworld_mjx.parse.draw import COLOURS, GREY, draw_parse
+from neoworld_mjx.spec import Box2D
 from tests.support import answers
 
 
@@ -24,9 +25,9 @@ def test_frames_lie_on_the_boxes_in_the_colour_of_the_support():
     assert tuple(image[590, 400]) == (128, 128, 128)
 
 
-def test_the_drawing_depends_on_3d_boxes_only_on_request():
+def test_the_name_of_a_low_object_at_the_edge_does_not_cover_it():
     tree = answers.exact()
-    moved = answers.moved(tree, "can", position=(0.1, 0, 0))
-    assert draw_parse(answers.photo(), tree).data == draw_parse(answers.photo(), moved).data
-    solid = [draw_parse(answers.photo(), t, draw_3d_boxes=True).data for t in (tree, moved)]
-    assert solid[0] != solid[1]
+    low = answers.with_node(tree, "can", box2d=Box2D(x0=300, y0=0, x1=400, y1=14))
+    image = pixels(draw_parse(answers.photo(), low))
+    assert (image[3:11, 303:397] == 128).all()
+    assert (image[:40, 250:450] == COLOURS[1]).all(axis=-1).sum() > 300  # The tag is near it.

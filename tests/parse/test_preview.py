@@ -3,9 +3,7 @@
 import json
 
 import numpy as np
-import pytest
 
-from neoworld_mjx.errors import SpecError
 from neoworld_mjx.estimate.tree.tree_checks import AGREEMENT_ERROR, AGREEMENT_WARNING
 from neoworld_mjx.mllm import Picture
 from neoworld_mjx.parse.draw import COLOURS, draw_region
@@ -82,20 +80,6 @@ def test_a_correction_is_shown_with_what_it_keeps():
     assert entry(shown, "left")["box_iou"] == 1.0
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{}", "camera: Field required"),
-        ("none", "no JSON object"),
-        (json.dumps(answers.answer(answers.item("x", parent="shelf"))), "shelf"),
-    ],
-)
-def test_an_invalid_response_is_one_error(text, message):
-    with pytest.raises(SpecError, match=message) as refused:
-        preview(answers.photo(), text)
-    assert "\n" not in str(refused.value)
-
-
 def test_the_command_takes_the_folder_of_a_request(neoworld, tmp_path):
     (tmp_path / "1-photo.png").write_bytes(to_png(answers.photo().rgb))
     done = neoworld("preview", tmp_path)
@@ -118,5 +102,9 @@ def test_a_region_is_enlarged_with_rulers_in_pixels_of_the_whole():
     assert (region.rgb[100, 450] == 0).all()
     ticks = np.flatnonzero((region.rgb[0] == COLOURS[0]).all(axis=-1))
     assert set(range(0, 900, 50)) <= set(ticks.tolist())  # each pixel of the photograph
+    wide = draw_region(Picture.of("photo", np.zeros((480, 640, 3), np.uint8)), (0, 0, 640, 480))
+    assert wide.size == (900, 675)  # A region as wide as the picture is enlarged, too.
+    (spots,) = np.nonzero((wide.rgb[0] == COLOURS[0]).all(axis=-1))
+    assert round(600 * 900 / 640) in spots
     for box in ((-5, -5, -1, -1), (79.9, 59.9, 79.9, 59.9), (50, 40, 10, 10), (0, 0, 1e9, 1e9)):
         assert min(draw_region(Picture.of("photo", rgb), box).size) >= 2

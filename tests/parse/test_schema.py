@@ -10,7 +10,6 @@ from neoworld_mjx.estimate.tree.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.requests import InvalidResponse, read_response
 from neoworld_mjx.parse.object_schema import ParsedTilt
-from neoworld_mjx.parse.prompts import correction_request, parse_request
 from neoworld_mjx.parse.schema import ParsedScene, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues
 from neoworld_mjx.spec.pose import rotate
@@ -152,16 +151,6 @@ def test_the_example_of_the_instructions_is_valid():
     result = to_tree(read_response(example, ParsedScene), answers.photo())
     assert all(agreement(result, node) > 0.7 for node in result.nodes)
     assert check_tree(result) == ()
-
-
-def test_a_repair_request_repeats_the_response_and_the_findings():
-    seen = ParsedScene.model_validate(answers.desk())
-    first = parse_request(answers.photo())
-    mend = correction_request(answers.photo(), seen, ["can: it floats"])
-    assert mend.parts["system"] == first.parts["system"]
-    assert mend.parts["pictures"] == first.parts["pictures"]
-    assert "- can: it floats" in mend.prompt
-    assert '"name": "can"' in mend.prompt
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
     bar = scenes.single("bar", (Box(size=(0.3, 0.04, 0.04)), (0, 0, 0)))
     below = SceneObject(name="stairs", spec=stairs, environment=True)
     beside = SceneObject(name="bar", spec=bar, parent="stairs", xy=(0.0, 0.0), z=0.04)
-    a = arrange(SceneSpec(name="step", objects=(below, beside)), gap=0.0)
+    a = arrange(SceneSpec(name="step", objects=(below, beside)))
     zero = Layout.zero(2, 2)
     # Along the step, which begins 10 cm from it, and 15 cm across it.
     turned = Layout(zero.xy, zero.yaw.at[1, 1].set(np.pi / 2), zero.log_scale)
@@ -120,7 +120,7 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
 
 def test_an_object_on_a_scaled_support_stands_on_its_higher_surface():
     block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    a = arrange(scenes.on_table((block, (0.1, 0.0), 0.0, {})), gap=0.0)
+    a = arrange(scenes.on_table((block, (0.1, 0.0), 0.0, {})))
     zero = Layout.zero(2, 2)
     double = zero.log_scale.at[1, 0].set(np.log(2.0))
     once, twice = np.asarray(jax.jit(heights)(a, Layout(zero.xy, zero.yaw, double)))[:, 1]

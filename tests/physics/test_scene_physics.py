@@ -11,7 +11,7 @@ from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjcf import CONTACT_TIME_S
 from neoworld_mjx.physics.native import open_batch
-from neoworld_mjx.search.finishing import compile_for_search
+from neoworld_mjx.search.searched_scene import compile_for_search
 from tests.support import scenes
 
 GEOM_FIELDS = ("size", "pos", "quat", "friction", "solref", "solimp", "condim", "solmix", "margin")
@@ -20,7 +20,7 @@ NO_RESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 """The search and the check detect divergence, where a user's simulation starts over."""
 
 
-@pytest.fixture(scope="module", params=[scenes.coffee, scenes.furnished, scenes.lamp])
+@pytest.fixture(scope="module", params=[scenes.furnished, scenes.lamp])
 def models(request, tmp_path_factory):
     """The three models of a scene, by use."""
     scene, o = request.param(), RefineOptions(check_duration_s=0.01)

@@ -21,10 +21,8 @@ from PIL import Image
 from neoworld_mjx import cli
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.errors import EvidenceError, PhotoError, RunError, SpecError
-from neoworld_mjx.evidence.camera_files import read_camera
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
-from neoworld_mjx.evidence.file_camera import FileCamera
 from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
@@ -32,7 +30,7 @@ from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.input_doubts import doubt_solids, doubt_unit, scaled_scene
 from neoworld_mjx.pipeline.mesh_tree import mesh_tree
 from neoworld_mjx.pipeline.place import place
-from neoworld_mjx.pipeline.rescue import photographed, rescue_file
+from neoworld_mjx.pipeline.rescue import photo_evidence, posed_tree, rescue_file
 from neoworld_mjx.render import render_scene, visible_surface
 from neoworld_mjx.spec import SceneSpec, bounds, read_scene, world_poses
 from neoworld_mjx.spec.pose import from_yaw, matrix, pose
@@ -136,7 +134,7 @@ def disturbed_meshes():
 def photograph(tmp_path_factory):
     """The photograph of the undisturbed meshes."""
     file = tmp_path_factory.mktemp("photograph") / "photo.png"
-    Image.fromarray(photograph_of(scene_of_meshes(standing(2)).spec).rgb).save(file)
+    Image.fromarray(photograph_of(scene_of_meshes(standing(2)).spec)).save(file)
     return file
 
 
@@ -157,14 +155,17 @@ def test_camera_of_gltf_is_that_of_its_file_and_yields_to_the_users(
     photographed_meshes, disturbed_meshes, tmp_path
 ):
     photo = tmp_path / "photo.png"
-    stated = import_file(with_camera(tmp_path / "a.glb", disturbed_meshes)).camera
-    own = read_camera(tmp_path / "camera.json")
-    views = [photographed(photo, *pair).view for pair in ((stated, None), (None, own))]
-    for view in views:
-        assert view.camera.model_dump() == pytest.approx(CAMERA.model_dump(), abs=1e-6)
-        assert np.allclose(view.scene_transform.pos, 0, atol=1e-6)
-    wide = photographed(photo, stated, FileCamera(fovy=1.2)).view.camera
-    assert wide.fovy == pytest.approx(1.2) and wide.pitch == pytest.approx(CAMERA.pitch)
+    read = import_file(with_camera(tmp_path / "a.glb", disturbed_meshes))
+    given = StatedEvidence(camera=str(tmp_path / "camera.json"))
+    for pair in ((StatedEvidence(), read.camera), (given, None)):
+        _, known = photo_evidence(photo, *pair)
+        top = posed_tree(read, known.camera).tree.camera
+        assert top.model_dump() == pytest.approx(
+            CAMERA.model_copy(update={"height": CAMERA.height - TABLE_Z}).model_dump(), abs=1e-6
+        )
+    _, wide = photo_evidence(photo, StatedEvidence(camera={"fovy": 1.2}), read.camera)
+    assert wide.camera.camera(CAMERA).fovy == pytest.approx(1.2)
+    assert wide.camera.pitch == pytest.approx(CAMERA.pitch)
 
 
 def test_report_of_a_rescue_says_what_was_checked(

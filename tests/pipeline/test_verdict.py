@@ -53,6 +53,7 @@ def test_a_scene_in_which_an_object_fell_and_rests_is_not_valid_anywhere(fallen,
     assert checked.returncode == 1 and checked.stdout.splitlines()[0] == line
     details = json.loads(neoworld("check", out, "--json").stdout)
     assert details["checks"] == run["metrics"]["checks"]
+    assert neoworld("report", out).stdout.splitlines()[0] == line
     report = (out / "report.html").read_text()
     assert line in report.partition("</header>")[0]
     assert verdict_of(open_target(out, CONFIG))[1] == line

@@ -5,7 +5,7 @@ import pytest
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.program import build
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.spec import link_poses
 
 HEAD = (

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, import_urdf
+from neoworld_mjx.export import export_object, import_file
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import SceneObject, SceneSpec, link_poses
@@ -42,7 +42,7 @@ def test_a_ball_joint_turns_by_a_rotation_vector(lamp):
 
 def test_a_ball_joint_is_three_hinges_through_one_point_in_urdf(lamp, tmp_path):
     export_object(lamp, tmp_path)
-    made, was = import_urdf(tmp_path / "object.urdf").spec, lamp.joints[0]
+    made, was = import_file(tmp_path / "object.urdf").spec, lamp.joints[0]
     assert [joint.name for joint in made.joints] == ["neck_x", "neck_y", "neck_z"]
     for joint, axis in zip(made.joints, np.eye(3), strict=True):
         assert (joint.type, joint.damping, joint.friction) == (

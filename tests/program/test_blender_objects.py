@@ -12,7 +12,7 @@ from neoworld_mjx.program.assemble import assemble
 from neoworld_mjx.program.blender import blender_process
 from neoworld_mjx.program.blender.blender_objects import build_object
 from neoworld_mjx.program.blender.blender_scene import BlenderScene, shape_of, split_solids
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.program.session import Session
 from neoworld_mjx.spec import Box, inertial
 

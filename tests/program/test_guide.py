@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.checks.object_tests import run_object_tests
 from neoworld_mjx.program import build
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.spec import bounds, link_poses
 

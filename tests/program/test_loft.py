@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from neoworld_mjx.checks.object_tests import run_object_tests
-from neoworld_mjx.program.sandbox import build
+from neoworld_mjx.program.building import build
 from neoworld_mjx.spec import bounds, pieces
 
 HEAD = "from neoworld_mjx.program.sdk import Object, cylinder, loft\n"

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from neoworld_mjx.export import object_files
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 
 HEAD = "from neoworld_mjx.program.sdk import *\n".replace(
     "*", "Object, box, capsule, cylinder, ellipsoid, hollow_box, lathe, prism, sphere"

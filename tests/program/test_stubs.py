@@ -6,7 +6,7 @@ import inspect
 import pytest
 
 from neoworld_mjx.program import sdk
-from neoworld_mjx.program.execution import _FIELDS, _METHODS, _PROPERTIES, stubs
+from neoworld_mjx.program.sandbox import _FIELDS, _METHODS, _PROPERTIES, stubs
 
 TREE = ast.parse(stubs())
 FUNCTIONS = {node.name: node for node in TREE.body if isinstance(node, ast.FunctionDef)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import ProgramOptions
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.program.supports import MATERIALS, support_program
 from neoworld_mjx.spec import (
     Box2D,

@@ -163,7 +163,10 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
     script = ScriptedModel(written(GOOD), *verdict(9, accept=True))
     outcome = synthesised(script, UNJUDGED, box3d=box, articulation=(part,))
     assert outcome.signals == ()
-    assert "with door 50% open as in the photo (draw it closed" in script.requests[0].prompt
+    assert (
+        "with door at 50% of the range as in the photo (draw all joints at 0"
+        in script.requests[0].prompt
+    )
     closed = ScriptedModel(written(GOOD), written(GOOD))
     wrong = synthesised(closed, UNJUDGED, box3d=box)
     assert {signal.code for signal in wrong.signals} == {"proportions", "wrong_size"}
@@ -228,6 +231,13 @@ def test_the_built_object_is_rendered_in_the_frame_of_its_crop():
     # What would not be in the picture at all is drawn by itself.
     apart = views.compare(crop, spec, obj, camera, (0.0, 0.0, 10.0, 10.0))
     assert apart[0] is crop and apart[1].pixels == draw(spec, obj, camera).pixels
+    assert not views.why_apart(spec, obj, camera, window)
+    assert "the crop shows 0%" in views.why_apart(spec, obj, camera, (0.0, 0.0, 10.0, 10.0))
+    assert "unknown" in views.why_apart(spec, obj, None, window)
+    inside = obj.model_copy(
+        update={"box3d": obj.box3d.model_copy(update={"position": (0.0, 0.0, 0.5)})}
+    )
+    assert "to the camera" in views.why_apart(spec, inside, camera, window)
 
 
 def test_the_best_round_wins_over_the_last():

@@ -8,7 +8,7 @@ from neoworld_mjx.export.write_mjcf import mjcf_text
 from neoworld_mjx.physics.mjcf import to_mjspec
 from neoworld_mjx.render import render
 from neoworld_mjx.render.appearance import linear, read_print
-from neoworld_mjx.render.looks import as_photographed
+from neoworld_mjx.render.looks import as_photographed, printed
 from tests.estimate import desk
 
 
@@ -57,6 +57,19 @@ def test_flat_faces_wear_the_photograph_and_round_ones_do_not(looks):
     # Red stripes on gray: green alternates while the plain color is the mean of both.
     assert columns[:, 1].min() < 0.05 < 0.09 < columns[:, 1].max()
     assert 0.05 < linear(np.array(top.rgba[1])) < 0.09
+
+
+def test_what_a_simplified_object_does_not_cover_is_no_print_on_its_support(scene):
+    photo = desk.photograph(scene, 640).copy()
+    white, box = (250, 250, 250), scene.object("ball").box2d
+    left, bottom = round(box.x0), round(box.y1)
+    photo[bottom - 10 : bottom, left : left + 10] = white  # Of the ball, in its box.
+    photo[440:460, 300:320] = white  # A sheet of paper that is not listed stays.
+    whole = printed(scene, photo)
+    after = render(whole, whole.camera, width=640, shadows=False).color.astype(int)
+    assert after[450, 310].min() > 200
+    assert after[bottom - 5, left + 5].max() < 150
+    assert np.ptp(after[bottom - 5, left + 5]) < 15  # gray, as the desk
 
 
 def test_the_backdrop_is_seen_and_touches_nothing(scene, looks):

@@ -130,6 +130,25 @@ def test_a_displaced_object_is_printed_with_its_own_pixels(scene, photo, result)
     assert blue[1] - blue[0] == pytest.approx(min(2 * away, blue[1]), abs=3) and blue[1] > 10
 
 
+def test_what_is_outside_the_photograph_is_not_printed(scene, photo):
+    """The photograph cuts the object off at the top, where the rendered image shows it whole."""
+    from neoworld_mjx.spec.tree import Box2D
+
+    mask = render(scene, CAMERA, supersample=1, floor=False).segmentation == 0
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    middle = (rows[0] + rows[-1]) / 2
+    box = Box2D(x0=float(columns[0]), y0=0.0, x1=float(columns[-1] + 1),
+                y1=float(rows[-1] + 1 - middle))  # fmt: skip
+    item = scene.objects[0].model_copy(update={"box2d": box})
+    cut = printed(scene.model_copy(update={"objects": (item,)}), np.maximum(photo, 20))
+    spec = cut.objects[0].spec
+    materials = [material for material in spec.materials if material.photo is not None]
+    assert materials
+    for material in materials:
+        assert read_print(material.photo).colours[0].max(axis=-1).min() > 100
+        assert max(material.rgba[:3]) > 0.5
+
+
 def test_invalid_print_images_are_refused():
     good = {"near": 1.0, "far": 2.0, "turn": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "shift": (0, 0, 1)}
     with pytest.raises(ValueError, match="pattern"):

@@ -8,7 +8,7 @@ from pxr import Usd, UsdGeom, UsdShade
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.export import export_object, mjcf_text
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.program.supports import MATERIALS
 from neoworld_mjx.render import View, render, render_plain
 from neoworld_mjx.render.ray_caster import RayCaster

@@ -8,11 +8,10 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import measure_settled
-from neoworld_mjx.physics.scene_arrays import pad_objects, pad_scene
-from neoworld_mjx.search.algorithm import evaluate, open_problem
-from neoworld_mjx.search.evaluation import CLOCKS, Evaluation, early_stop_rule
-from neoworld_mjx.search.finishing import compile_for_search, finish
-from neoworld_mjx.spec import world_poses
+from neoworld_mjx.physics.scene_arrays import pad_objects
+from neoworld_mjx.search.algorithm import evaluate
+from neoworld_mjx.search.evaluation import early_stop_rule, open_evaluation
+from neoworld_mjx.search.searched_scene import compile_for_search
 from tests.support.scenes import noisy_layouts, stored_scene
 
 POP = 8
@@ -48,8 +47,7 @@ def model():
 
 
 def opened(model, o):
-    arrays, clock = pad_scene(model), dict.fromkeys(CLOCKS, 0.0)
-    return Evaluation(model, arrays, arrays, Noted(), o, open_problem(arrays, o), clock)
+    return open_evaluation(model, o, Noted())
 
 
 @pytest.fixture(scope="module")
@@ -91,22 +89,6 @@ def test_scores_of_a_model_replace_the_geometric_ones(evaluation, layouts):
     before = evaluation.score_before_physics(layouts, placed)
     still = zero_duration_rollout(evaluation.arrays, placed.poses)
     assert_near(before, evaluate(evaluation.arrays, evaluation.problem, layouts, still, placed))
-
-
-def test_an_initial_layout_is_scored_where_it_exactly_rests(model):
-    layout, o = noisy_layouts(model, 1, seed=3, xy=0.02, yaw=0.1), options()
-    final, arrays = finish(model, layout, 0, o), pad_scene(model)
-    problem = open_problem(arrays, o, pad_objects(layout, arrays.count))
-    round_ = opened(model, o)._replace(problem=problem).initial_round(final.scene)
-    exact = world_poses(final.scene)
-    for k, name in enumerate(model.names):
-        np.testing.assert_allclose(round_.poses.pos[0, k], exact[name].pos, atol=1e-6)
-        np.testing.assert_allclose(round_.poses.quat[0, k], exact[name].quat, atol=1e-6)
-    scale = np.exp(np.asarray(layout.log_scale))
-    np.testing.assert_allclose(round_.poses.scale, scale, rtol=1e-6)
-    assert round_.layouts.yaw.shape == round_.scores.rests.shape == (1, model.count)
-    # At rest nothing overlaps or moves, whatever the layout was before.
-    assert float(round_.scores.terms["d_drift"][0]) < 0.5 and bool(round_.scores.valid[0])
 
 
 def test_rollouts_have_the_options_and_stop_at_the_scale_of_drift(model, layouts):

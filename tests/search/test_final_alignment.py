@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import AlignOptions, RefineOptions, SettleOptions
-from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate.result import Alignment
-from neoworld_mjx.evidence.depth_image import DepthImage
-from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import passes
 from neoworld_mjx.search import final_alignment
 from neoworld_mjx.search.final_alignment import FinalAlignment, align_final
@@ -82,21 +79,6 @@ def test_without_evidence_or_settling_the_refined_scene_stays(case, five, refine
     else:
         photo = np.zeros_like(photo)
     assert align_final(five, refined, photo, options, align) == FinalAlignment(refined)
-
-
-def test_depth_and_masks_are_evidence_again(monkeypatch, five, refined, photo, right):
-    depth = Evidence(depth=DepthImage(np.ones((4, 4))))
-    given = []
-    monkeypatch.setattr(
-        final_alignment, "align_again", lambda *args, evidence: given.append(evidence) or right
-    )
-    align_final(five, refined, photo, evidence=depth)
-    assert given == [depth]
-
-
-def test_a_photograph_of_another_shape_is_refused(five, refined, photo):
-    with pytest.raises(PhotoError, match="aspect ratio"):
-        align_final(five, refined, photo[:200])
 
 
 def returning(monkeypatch, aligned, right):

@@ -14,7 +14,7 @@ from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.search import refine, scene_refinement
+from neoworld_mjx.search import refine
 from neoworld_mjx.spec import Box, world_poses
 from tests.support import scenes
 
@@ -82,10 +82,12 @@ def test_an_object_that_topples_is_moved_onto_its_support(engine):
     assert result.engine == engine.name
     assert not result.before.s_stab or "plate" not in result.kept
     assert result.passed and result.measure.s_stab and result.measure.movable == 4
-    assert result.winner[0] > 0
+    assert result.winner[0] >= 0
     assert set(result.kept) == {"low", "base", "top"}
-    at_rest = result.measure.model_copy(update={"displacement": None})
-    assert scene_measure(result.scene, duration=0.5) == at_rest
+    # The stored scene measures the same when it is compiled at its own sizes, but for rounding.
+    again = scene_measure(result.scene, duration=0.5)
+    for name in ("max_depth_m", "settled_depth_m", "max_drift_m", "max_tilt_deg"):
+        assert getattr(again, name) == pytest.approx(getattr(result.measure, name), abs=1e-9)
     assert max(result.measure.displacement.values()) <= 1.0
     poses = world_poses(result.scene)
     assert poses["plate"].pos[2] == pytest.approx(0.06, abs=1e-3)
@@ -96,21 +98,31 @@ def test_overlapping_objects_come_apart_without_a_search():
     scene = clashing()
     assert scene_measure(scene, duration=0.1).max_depth_m > 0.005
     result = refine(scene, options(), engine="native")
-    assert result.passed and result.rollouts == 0 and result.winner == (0, 0)
+    assert result.passed and result.rollouts == 0 and result.winner == (-1, -1)
     assert result.measure.max_depth_m < 1e-3
 
 
-def test_a_scene_that_passes_is_compiled_once_and_not_scored(monkeypatch):
-    compiled = []
-    original = mujoco.MjSpec.compile
+@pytest.fixture
+def compiled(monkeypatch):
+    """The MuJoCo specifications that are compiled."""
+    compiled, original = [], mujoco.MjSpec.compile
     monkeypatch.setattr(
         mujoco.MjSpec, "compile", lambda spec: compiled.append(spec) or original(spec)
     )
-    monkeypatch.setattr(scene_refinement, "compile_for_search", None)
+    return compiled
+
+
+def test_a_scene_that_passes_is_compiled_once_and_not_scored(compiled):
     result = refine(scenes.blocks(), options(), engine="native")
     assert result.passed and len(compiled) == 1
     with pytest.raises(ConfigError, match=r"refine\.optimizer: 'cme' is unknown"):
         refine(scenes.blocks(), options().model_copy(update={"optimizer": "cme"}), engine="native")
+
+
+def test_a_searched_scene_is_compiled_twice(compiled):
+    """Once for all final checks, and once for the search, whatever the number of finalists."""
+    searched = refine(unreachable(), options(32, 2), engine="native")
+    assert searched.iterations == 2 and searched.finalists_tried == 4 and len(compiled) == 2
 
 
 @pytest.mark.parametrize("scene", [scenes.blocks(), scenes.furnished()], ids=["blocks", "cabinet"])
@@ -119,7 +131,7 @@ def test_a_scene_that_passes_needs_no_iteration(scene):
     o = options(32, 4).model_copy(update={"check_duration_s": 2.0})
     result = refine(scene, o, engine="native", progress=lines.append)
     assert result.passed and result.iterations == 0 and result.rollouts == 0 and not result.scores
-    assert result.winner == (0, 0) and result.finalists_tried == 0
+    assert result.winner == (-1, -1) and result.finalists_tried == 0
     assert isinstance(result.layout, Layout)
     assert not any(np.asarray(leaf).any() for leaf in (result.layout.xy, result.layout.yaw))
     moving = [item.name for item in scene.objects if not item.environment]
@@ -154,7 +166,7 @@ def test_failure_of_every_candidate_is_reported():
     assert not result.passed and result.winner == (-1, -1) and result.scores == {}
     assert result.fallbacks and result.mean_log_scale == 0.0
     result = refine(toppling(), options(32, 2), engine=Stubborn())
-    assert not result.passed and result.winner == (0, 0)
+    assert not result.passed and result.winner == (-1, -1)
     (line,) = result.fallbacks
     assert line.startswith("no candidate passed the final check in 0 tries; the closest one is")
     assert ": settled away from its place by " in line and "did not pass" in repr(result)
@@ -164,7 +176,7 @@ def test_an_object_that_rests_nowhere_is_searched_ever_farther_away():
     result = refine(unreachable(), options(64, 4), engine="native")
     assert not result.passed and result.iterations == 4
     k = result.history["object_names"].tolist().index("picture")
-    spread = np.nanstd(result.history["xy"][1:, :, k], axis=(1, 2))
+    spread = np.nanstd(result.history["xy"][:, :, k], axis=(1, 2))
     np.testing.assert_allclose(spread[1:] / spread[:-1], 2.0, rtol=0.25)
 
 
@@ -172,22 +184,8 @@ def test_the_winner_is_the_valid_candidate_of_largest_reward_that_passes():
     result = refine(toppling(), options(32, 3, stop_gain=0.0), seed=1, engine="native")
     history = result.history
     assert result.passed and history["valid"].sum() > 5
-    valid = history["valid"].copy()
-    valid[0, 0] = False  # The initial layout, whose final scene fails.
-    ranked = np.argsort(-np.where(valid, history["reward"], -np.inf), axis=None)
+    ranked = np.argsort(-np.where(history["valid"], history["reward"], -np.inf), axis=None)
     place = np.ravel_multi_index(result.winner, history["valid"].shape)
     assert ranked[result.finalists_tried - 1] == place
     assert result.scores["reward"] == history["reward"][result.winner]
     assert result.scores.keys() == {"reward", "valid", "s_sem", "prior", "d_pen", "d_drift"}
-
-
-def test_a_custom_start_is_the_center_of_the_search():
-    scene = toppling()
-    names = [item.name for item in scene.objects]
-    start = Layout.zero(1, len(names))
-    xy = np.zeros((1, len(names), 2), np.float32)
-    xy[0, names.index("plate"), 0] = -0.06
-    start = Layout(xy, start.yaw, start.log_scale)
-    result = refine(scene, options(16, 2), start=start, engine="native")
-    assert result.passed and result.rollouts == 1
-    np.testing.assert_array_equal(result.layout.xy, xy)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from neoworld_mjx.export import import_mjcf, import_urdf
 from neoworld_mjx.export.formats import write_formats
 from neoworld_mjx.export.object_of_mechanism import Imported
 from neoworld_mjx.names import Format
@@ -22,10 +21,11 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.finish import finish
 from neoworld_mjx.spec.pose import matrix
+from neoworld_mjx.verify.checking import import_object
 
 READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
-    "mjcf": ("object.xml", import_mjcf),
-    "urdf": ("object.urdf", import_urdf),
+    "mjcf": ("object.xml", import_object),
+    "urdf": ("object.urdf", import_object),
 }
 BOUNDS: dict[str, float] = {
     "pose_m": 1e-5, "axis": 1e-5, "limits": 1e-5, "mass": 1e-5, "inertia": 1e-4, "dynamics": 1e-5,

@@ -5,7 +5,7 @@ import numpy as np
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.spec import ObjectSpec, bounds
 from neoworld_mjx.spec.convex import mass_properties
 

@@ -14,6 +14,6 @@ def as_parsed(photo, pop):
     tips = [(boxes[..., 0], y), (x, boxes[..., 1]), (boxes[..., 2], y), (x, boxes[..., 3])]
     extremes = jnp.stack([jnp.stack(tip, axis=-1) for tip in tips], axis=2)
     middle = jnp.stack([x, y], axis=-1)
-    projected = Outlines(boxes, extremes, middle, repeated(photo.depth), ones)
+    projected = Outlines(boxes, extremes, middle, repeated(photo.depth))
     unoccluded_sides = jnp.broadcast_to(ones[..., None] > 0, boxes.shape)
-    return Visible(boxes, ones, unoccluded_sides, projected)
+    return Visible(boxes, unoccluded_sides, projected)

@@ -9,8 +9,8 @@ import yaml
 
 import neoworld_mjx as nw
 from neoworld_mjx.errors import ConfigError, RunError
+from neoworld_mjx.machines import Machines
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.places import Place
 from neoworld_mjx.sweeps import Case, Plan, ablate, merge, run, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 from neoworld_mjx.sweeps.plan import points, read_plan
@@ -203,7 +203,7 @@ def test_an_ablation_reports_differences(tmp_path):
 @pytest.mark.slow
 def test_processes_give_the_rows_of_one(swept):
     _, whole = swept
-    result = sweep(plan(), cases=[SCENE], place=Place(workers=2))
+    result = sweep(plan(), cases=[SCENE], machines=Machines(workers=2))
     assert without_times(result.rows) == without_times(whole.rows)
 
 

@@ -6,7 +6,7 @@ import pytest
 from neoworld_mjx.checks.compile_checks import check
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.spec import bounds
 from neoworld_mjx.templates import read_template, template, templates
 from neoworld_mjx.templates.template import BOX

@@ -9,7 +9,7 @@ import pytest
 from neoworld_mjx.compose.layout_patch import LayoutPatch
 from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.config import Config
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.run_folder import RunFolder
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import from_yaw, pose, yaw_of
@@ -17,7 +17,7 @@ from neoworld_mjx.spec.scene import PoseUncertainty
 from neoworld_mjx.templates import template
 from neoworld_mjx.view.scene_nodes import FreeFall, part_poses
 from neoworld_mjx.view.scene_viewer import PlacedScene, object_facts, settable_joints
-from neoworld_mjx.view.target import open_target, single_object_scene
+from neoworld_mjx.view.target import fixed_object_scene, open_target
 from tests.support import scenes
 
 
@@ -25,7 +25,7 @@ from tests.support import scenes
 def cabinet():
     built = run(template("drawer_cabinet").program())
     assert built.spec is not None
-    return single_object_scene(built.spec)
+    return fixed_object_scene(built.spec)
 
 
 def test_dragging_a_handle_moves_an_object_and_its_children():

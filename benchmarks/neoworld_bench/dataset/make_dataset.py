@@ -22,7 +22,7 @@ import numpy as np
 
 from neoworld_mjx.errors import RunError
 from neoworld_mjx.io.files import content_hash, write_atomic
-from neoworld_mjx.places import Place, run_tasks
+from neoworld_mjx.machines import Machines, run_tasks
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 from neoworld_mjx.templates import template, templates
 
@@ -65,7 +65,7 @@ def make_dataset(
     jobs = [("categories", name, str(out), seed) for name in categories]
     jobs += [("scenes", name, str(out), seed) for name in chosen]
     jobs += [] if scenes else [("tasks", name, str(out), seed) for name in task_names()]
-    done = run_tasks(_write_part, jobs, Place(workers=workers))
+    done = run_tasks(_write_part, jobs, Machines(workers=workers))
     order = {job[:2]: k for k, job in enumerate(jobs)}
     parts = sorted(done, key=lambda part: order[part["kind"], part["name"]])
     summary = {

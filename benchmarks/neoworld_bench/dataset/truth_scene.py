@@ -6,7 +6,7 @@ import math
 from pydantic import ValidationError
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.program.supports import support_program
 from neoworld_mjx.spec import (
     Box2D,

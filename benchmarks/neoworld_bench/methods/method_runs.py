@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from neoworld_mjx.config import ComposeOptions, Config, RefineOptions
+from neoworld_mjx.machines import HERE, Machines, check_machines, run_tasks
 from neoworld_mjx.physics.native import NativeEngine
-from neoworld_mjx.places import HERE, Place, check_place, run_tasks
 from neoworld_mjx.spec import SceneSpec
 
 from ..fidelity.rendered_responses import exact_response
@@ -79,6 +79,8 @@ class RunSettings:
     noise: NoiseLevel
     evidence: tuple[str, ...] = ("none",)
     """Evidence in addition to the photograph: kinds joined by "+"; methods run with each."""
+    samples: int = 0
+    """Number of draws about each result, in which plans of tasks are executed."""
 
 
 def run_settings(options: Any, config: Config, evidence: Sequence[str]) -> RunSettings:
@@ -163,8 +165,9 @@ def run_jobs(
     starts: Mapping[str, Sequence[int]],
     methods: Sequence[str],
     settings: RunSettings,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
+    in_turn: bool = False,
 ) -> list[R]:
     """Run methods on scenes or tasks, except for rows that are already stored.
 
@@ -174,8 +177,9 @@ def run_jobs(
         starts: numbers of each subject's initial scenes.
         methods: names of the methods.
         settings: settings of the run.
-        place: where the jobs run.
+        machines: where the jobs run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
+        in_turn: run each method on all subjects before the next method, in the order of `methods`.
 
     Returns:
         All rows, including stored ones, sorted by subject, start, seed, evidence and method; the
@@ -184,7 +188,7 @@ def run_jobs(
     Raises:
         RunError: a file cannot be written, or a process died.
     """
-    check_place(place)
+    check_machines(machines)
     store = store or RowStore(None)
     rows = {row.key: row for row in store.of(row_type)}
     jobs = []
@@ -192,11 +196,12 @@ def run_jobs(
         for start, given in itertools.product(numbers, settings.evidence):
             of = (subject, start, settings.seed, given)
             missing = tuple(method for method in methods if (*of, method) not in rows)
-            if missing:
-                jobs.append(MethodJob(subject, start, missing, settings, place.threads, given))
+            for part in [(method,) for method in missing] if in_turn else [missing]:
+                if part:
+                    jobs.append(MethodJob(subject, start, part, settings, machines.threads, given))
     # Sort by initial scene, so that an interrupted run has rows of all subjects.
-    jobs.sort(key=lambda job: job.start)
-    for row in run_tasks(work, jobs, place):
+    jobs.sort(key=lambda job: (in_turn * methods.index(job.methods[0]), job.start))
+    for row in run_tasks(work, jobs, machines):
         log.info(row.summary)
         store.put(f"{row_type.__name__} {'/'.join(map(str, row.key))}", [row])
         rows[row.key] = row

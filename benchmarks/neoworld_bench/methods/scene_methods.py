@@ -21,7 +21,7 @@ from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.rest import settle_scene
 from neoworld_mjx.pipeline.place import LayoutEstimate, refine_placed
-from neoworld_mjx.search.finishing import compile_for_search
+from neoworld_mjx.search.searched_scene import compile_for_search
 from neoworld_mjx.spec import SceneSpec
 
 from ..noise.initial_scenes import InitialScene

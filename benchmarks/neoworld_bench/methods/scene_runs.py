@@ -11,8 +11,8 @@ from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
 from neoworld_mjx.checks.static_checks import Probe, is_placeholder
 from neoworld_mjx.config import JointSweepOptions
 from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import visible_box_iou
-from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
 from ..dataset.declaration import declaration, declarations
@@ -168,7 +168,7 @@ def run_scenes(
     settings: RunSettings,
     *,
     starts: int,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
 ) -> list[SceneRow]:
     """Run methods on scenes, except for rows that are already stored.
@@ -178,7 +178,7 @@ def run_scenes(
         methods: names of methods, as for `check_methods`.
         settings: settings of the run.
         starts: number of initial scenes of each scene.
-        place: where the methods run.
+        machines: where the methods run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
@@ -192,7 +192,7 @@ def run_scenes(
         starts=dict.fromkeys(scenes, range(starts)),
         methods=methods,
         settings=settings,
-        place=place,
+        machines=machines,
         store=store,
     )
 

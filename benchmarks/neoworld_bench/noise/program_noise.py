@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.program.sandbox import BuildResult, build
+from neoworld_mjx.program.building import BuildResult, build
 from neoworld_mjx.spec import (
     Box,
     Capsule,

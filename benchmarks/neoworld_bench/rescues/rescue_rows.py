@@ -14,14 +14,14 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from neoworld_mjx.config import Config, RefineOptions
-from neoworld_mjx.evidence.evidence import Evidence
-from neoworld_mjx.evidence.file_camera import FileCamera
+from neoworld_mjx.evidence.evidence import Evidence, PhotoPixels
+from neoworld_mjx.evidence.file_camera import FileCamera, known_camera
 from neoworld_mjx.export.importing import ImportedScene, scene_of_assemblies
 from neoworld_mjx.export.mesh_colors import Surface
-from neoworld_mjx.export.read_mesh_scene import mesh_object, viewpoint
+from neoworld_mjx.export.read_mesh_scene import mesh_object
 from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.pipeline.place import RefinedPlacement, place, refine_placed
-from neoworld_mjx.pipeline.rescue import Photographed, as_given, posed_tree
+from neoworld_mjx.pipeline.rescue import as_given, posed_tree
 from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import Camera, SceneSpec, bounds, world_poses
 from neoworld_mjx.spec.pose import angle_between
@@ -193,15 +193,16 @@ def rescue_rows(seed: int, *, photo: bool = False) -> Iterator[RescueRow]:
         )
 
 
-def rescued_scene(given: ImportedScene, photo: Photographed | None) -> RefinedPlacement:
+def rescued_scene(given: ImportedScene, photo: PhotoPixels | None) -> RefinedPlacement:
     """Return the result of Steps 4 and 5 of a rescue, without a run folder."""
-    tree, c = posed_tree(given, photo), as_given(Config(), photo=photo is not None)
-    evidence = Evidence(None if photo is None else photo.rgb, boxes=False)
+    known, _ = known_camera(camera_file(), (CAMERA.width, CAMERA.height_px), "CAMERA")
+    tree = posed_tree(given, None if photo is None else known)
+    c, evidence = as_given(Config(), photo=photo is not None), Evidence(photo, boxes=False)
     placed = place(tree.tree, tree.objects, evidence, c.compose)
     return refine_placed(placed.scene, c.refine, photo=evidence.photo, again=c.compose.align)
 
 
-def photograph_of(scene: SceneSpec) -> Photographed:
+def photograph_of(scene: SceneSpec) -> PhotoPixels:
     """Render a scene with a plain color for each object through CAMERA, which is given exactly."""
     objects = []
     for k, item in enumerate(scene.objects):
@@ -210,9 +211,7 @@ def photograph_of(scene: SceneSpec) -> Photographed:
         spec = item.spec.model_copy(update={"materials": materials})
         objects.append(item.model_copy(update={"spec": spec}))
     colored = scene.model_copy(update={"objects": tuple(objects), "camera": CAMERA})
-    return Photographed(
-        render_scene(colored).color, viewpoint(camera_file(), CAMERA.width, CAMERA.height_px)
-    )
+    return render_scene(colored).color
 
 
 def camera_file() -> FileCamera:

@@ -16,6 +16,10 @@ SHARES: dict[str, Callable[[SuccessRow], bool]] = {
     "valid_rate": lambda r: r.valid,
 }
 """Shares over tasks and initial scenes; the first is task success."""
+BINS = 5
+"""Number of bins of predicted success."""
+CERTAIN = 0.8
+"""Share of the draws in which a plan has to succeed to be attempted."""
 PAPER = {
     "NeoWorld-Pro": 0.9285,
     "w/o S_sem": 0.4881,
@@ -72,6 +76,44 @@ def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
         "shift_m": float(np.median([row.shift_m for row in rows])),
         "seconds": float(np.median([row.seconds for row in rows])),
         "executing_s": float(np.median([row.executing_s for row in rows])),
+        **_reliability([row for row in rows if row.predicted is not None]),
+    }
+
+
+def _reliability(rows: Sequence[SuccessRow]) -> dict[str, Any]:
+    """Return how well success in draws predicts that in the ground truth; nothing without draws.
+
+    The error is the mean difference between predicted success and success over BINS of equal
+    width, weighted by their rows. Abstaining leaves out plans that succeed in fewer than CERTAIN of
+    the draws.
+    """
+    if not rows:
+        return {}
+    predicted = np.array([row.predicted for row in rows], float)
+    truth = np.array([row.on_truth for row in rows], float)
+    bins = np.minimum((predicted * BINS).astype(int), BINS - 1)
+    diagram = [
+        {
+            "n": int(np.sum(bins == k)),
+            "predicted": float(predicted[bins == k].mean()),
+            "success": float(truth[bins == k].mean()),
+        }
+        for k in np.unique(bins)
+    ]
+    chosen = [(row.task, float(bool(row.chosen_on_truth)), 1.0) for row in rows]
+    success, low, high = ratio_interval(chosen, share=True)
+    certain = [row for row in rows if (row.chosen_predicted or 0.0) >= CERTAIN]
+    return {
+        "reliability": diagram,
+        "reliability_error": float(
+            sum(b["n"] * abs(b["predicted"] - b["success"]) for b in diagram) / len(rows)
+        ),
+        "success_of_chosen": success,
+        "success_of_chosen_interval": [low, high],
+        "attempted": len(certain) / len(rows),
+        "success_of_attempted": (
+            float(np.mean([bool(row.chosen_on_truth) for row in certain])) if certain else None
+        ),
     }
 
 

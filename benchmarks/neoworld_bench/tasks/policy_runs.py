@@ -1,17 +1,18 @@
 """Policies trained in reconstructions, and run in the ground truth.
 
-A flying gripper learns the task in a reconstruction, from the start of the reference plan there,
-and is then run in the ground truth, whose objects it observes as in the reconstruction: their poses
-and joints, and the point of contact and the goal as the reconstruction has them. Success is judged
+A flying gripper learns the task in a reconstruction, from the start of the reference plan there, or
+a robot on a mount that is proposed there. It is then run in the ground truth, whose objects it
+observes as in the reconstruction: their poses and joints, and the point of contact and the goal as
+the reconstruction has them. Success is judged
 as that of plans: the last controls stay for two seconds, and the predicate of the ground truth must
 hold in every state of the last. Physical quantities of the ground truth are drawn from the priors
 of `nw.sample`, about their true values; its poses and sizes are the true ones.
 """
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
-from neoworld_mjx.environments.policy_environment import TaskState
 from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.environments.randomization import Variants, variants_of
 from neoworld_mjx.environments.samples import SceneSamples, sample
@@ -33,7 +33,7 @@ from neoworld_mjx.environments.training import (
     snapshot_name,
     train_task,
 )
-from neoworld_mjx.environments.trials import EVALUATION_SEED, episodes
+from neoworld_mjx.environments.trials import EVALUATION_SEED, episodes, last
 from neoworld_mjx.spec import SceneSpec
 
 from ..methods.method_runs import MethodJob, MethodRow
@@ -41,8 +41,7 @@ from ..noise.parse_noise import NoiseLog
 from ..rows import Row
 from .catalogue import all_tasks, find_task
 from .execution import START_DEPTH_M, judge
-from .plan_format import TaskPlan
-from .policy_tasks import gripper_at, gripper_task, plan_script, policy_task, with_start_noise
+from .policy_tasks import Effector, policy_task, with_start_noise
 from .success_runs import common_offset, described, planned_there
 from .task import ManipulationTask, TaskKind
 from .task_scenes import photographed_task
@@ -50,6 +49,8 @@ from .world import World
 
 KINDS: tuple[TaskKind, ...] = ("opening", "closing", "pushing", "placement")
 """Kinds of tasks that policies are trained for."""
+HORIZON, ROBOT_HORIZON = 125, 200
+"""Actions of an episode of a flying gripper, and of a robot, which is slower."""
 SNAPSHOTS = (0.1, 0.3, 1.0)
 """Shares of a training after which its policy is run."""
 
@@ -122,35 +123,47 @@ class PolicyTraining:
     setting: Setting
     folder: Path
     """Folder of the policies."""
+    robot: str | None = None
+    """Robot instead of a flying gripper."""
+    reconstructions: dict[tuple[str, int, str], tuple[SceneSpec, NoiseLog]] = field(
+        default_factory=dict
+    )
+    """Reconstructions of this process, by task, start and evidence."""
 
 
 def policy_rows(o: PolicyTraining, job: MethodJob) -> Iterator[PolicyRow]:
     """Train and run the policies of a job, and yield a row for each; exceptions are failures."""
-    task, errors = find_task(job.subject), NoiseLog()
-
-    def row(method: str, **fields: Any) -> PolicyRow:
-        columns = job.columns(method, errors)
-        return PolicyRow(**columns, task=task.name, kind=task.kind, rollouts=0, **fields)
-
-    scene: SceneSpec | None = None
+    task = find_task(job.subject)
     for method in job.methods:
+        scene, errors, fields = task.scene, NoiseLog(), dict[str, Any]()
         try:
-            if scene is None:
-                photo = photographed_task(task.scene)
-                initial = job.initial(photo.scene, f"task/{task.name}", errors)
-                [(_, result)] = job.outcomes(("ours",), initial, photo.scene)
-                scene = photo.back(result.scene)
-            shift = common_offset(task, scene)
-            fields = {"shift_m": float(np.linalg.norm(shift))}
+            if method != "truth":
+                scene, errors = _reconstruction(o, job, task)
+            fields["shift_m"] = float(np.linalg.norm(common_offset(task, scene)))
             if method == "plan":
-                yield row(method, results=(_plan_result(task, scene),), **fields)
+                fields["results"] = (_plan_result(task, scene),)
             else:
                 evidence = "photo" if job.evidence == "none" else job.evidence
-                name = "truth" if method == "truth" else f"{method}-{evidence}"
-                folder = o.folder / f"{task.name}-{job.start}-{name}"
-                yield row(method, results=_trained(o, job, task, method, scene, folder), **fields)
+                name = [task.name, str(job.start), method, *[evidence] * (method != "truth")]
+                folder = o.folder / "-".join([*name, *([Path(o.robot).stem] if o.robot else [])])
+                fields["results"] = _trained(o, task, method, scene, folder)
         except Exception as error:  # An error of one task must not end the run of all others.
-            yield row(method, reason=described(error))
+            fields["reason"] = described(error)
+        columns = job.columns(method, errors)
+        yield PolicyRow(**columns, task=task.name, kind=task.kind, rollouts=0, **fields)
+
+
+def _reconstruction(
+    o: PolicyTraining, job: MethodJob, task: ManipulationTask
+) -> tuple[SceneSpec, NoiseLog]:
+    """Return the reconstruction of a job and the errors of its initial scene."""
+    key = task.name, job.start, job.evidence
+    if key not in o.reconstructions:
+        photo, errors = photographed_task(task.scene), NoiseLog()
+        initial = job.initial(photo.scene, f"task/{task.name}", errors)
+        [(_, result)] = job.outcomes(("ours",), initial, photo.scene)
+        o.reconstructions[key] = photo.back(result.scene), errors
+    return o.reconstructions[key]
 
 
 def _plan_result(task: ManipulationTask, scene: SceneSpec) -> PolicyResult:
@@ -162,20 +175,13 @@ def _plan_result(task: ManipulationTask, scene: SceneSpec) -> PolicyResult:
 
 
 def _trained(
-    o: PolicyTraining,
-    job: MethodJob,
-    task: ManipulationTask,
-    method: str,
-    scene: SceneSpec,
-    folder: Path,
+    o: PolicyTraining, task: ManipulationTask, method: str, inside: SceneSpec, folder: Path
 ) -> tuple[PolicyResult, ...]:
-    """Train in the reconstruction or the ground truth, and run all snapshots."""
-    inside = task.scene if method == "truth" else scene
+    """Train in a reconstruction, or in the ground truth, and run all snapshots."""
     plan, goal = task.plan_in(inside), task.predicate_in(inside)
     own = policy_task(task, inside, plan, goal)
-    nowhere = np.zeros(2)
-    learned = gripper_task(own, gripper_at(plan, nowhere))
-    drawn = None
+    effector = Effector.of(own, plan, o.robot)
+    learned, drawn = effector.on(own), None
     if method != "mean":
         draws = sample(inside, o.training.samples, seed=o.training.seed, sizes=False)
         drawn = with_start_noise(learned, variants_of(learned.controlled, draws), o.training.seed)
@@ -184,17 +190,17 @@ def _trained(
         options = replace(options, worlds=o.worlds)
     train_task(
         learned, o.setting, folder, variants=drawn,
-        script=plan_script(learned, plan, o.setting.control_s), training=o.training,
+        script=effector.script(learned, plan, o.setting.control_s), training=o.training,
         options=options, resume=(folder / CHECKPOINT).exists(),
     )  # fmt: skip
     seed = EVALUATION_SEED + o.training.seed
-    before = _Arena(o, own, plan, nowhere, sample(inside, o.samples, seed=seed, sizes=False), goal)
+    before = _Arena(o, own, effector, sample(inside, o.samples, seed=seed, sizes=False), goal)
     truth = truth_samples(task.name, o.samples, seed)
     there = Task(own.instruction, task.scene, own.goal, own.point)
-    shift = nowhere if method == "truth" else -common_offset(task, scene)
-    aligned = _Arena(o, there, plan, shift, truth, task.predicate)
+    shift = -common_offset(task, inside)
+    aligned = _Arena(o, there, effector.moved(shift), truth, task.predicate)
     same = not np.any(shift)
-    as_it_is = aligned if same else _Arena(o, there, plan, nowhere, truth, task.predicate)
+    as_it_is = aligned if same else _Arena(o, there, effector, truth, task.predicate)
     results = []
     for share in SNAPSHOTS:
         policy = read_policy(folder / snapshot_name(share))
@@ -227,19 +233,18 @@ class _Arena:
         self,
         o: PolicyTraining,
         task: Task,
-        plan: TaskPlan,
-        by: NDArray,
+        effector: Effector,
         samples: SceneSamples,
         goal: Predicate,
     ) -> None:
-        self._task = gripper_task(task, gripper_at(plan, by))
+        self._task = effector.on(task)
         self._variants = variants_of(self._task.controlled, samples)
-        self._ends: Callable[[Policy], TaskState] = episodes(self._task, o.setting, self._variants)
+        self._states = episodes(self._task, o.setting, self._variants)
         self._goal = goal
 
     def successes(self, policy: Policy) -> NDArray:
         """Return which draws a policy succeeds in."""
-        ends = self._ends(policy).env
+        ends = last(self._states(policy)).env
         qpos, qvel, ctrl = (np.asarray(getattr(ends.data, n)) for n in ("qpos", "qvel", "ctrl"))
         lost = np.asarray(ends.done) > 0
         with ThreadPoolExecutor() as threads:

@@ -1,10 +1,10 @@
-"""Manipulation tasks as tasks of policies: the point of contact, the gripper's start, and a script.
+"""Manipulation tasks as tasks of policies: the point of contact, what performs them, and a script.
 
 All of it comes from the reference plan in the same scene, so a policy that is trained in a
 reconstruction knows nothing of the ground truth.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,9 @@ from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.policy_environment import Script
 from neoworld_mjx.environments.predicates import JointBetween, Predicate
 from neoworld_mjx.environments.randomization import Variants
+from neoworld_mjx.environments.reach import propose_mount
+from neoworld_mjx.environments.robots import Mount
+from neoworld_mjx.environments.scripted_motion import arm_script
 from neoworld_mjx.environments.task import SceneTask, StateView, Task, WorkPoint
 from neoworld_mjx.physics.gripper import PREFIX, Gripper
 from neoworld_mjx.spec import SceneSpec, link_poses, world_poses
@@ -61,6 +64,48 @@ def policy_task(task: ManipulationTask, scene: SceneSpec, plan: TaskPlan, goal: 
     return Task(task.instruction, scene, goal, WorkPoint(item.name, part, (x, y, z), closes))
 
 
+@dataclass(frozen=True)
+class Effector:
+    """What performs a task: a flying gripper, or a robot on its mount."""
+
+    gripper: Gripper | None = None
+    robot: str | None = None
+    mount: Mount | None = None
+
+    @classmethod
+    def of(cls, task: Task, plan: TaskPlan, robot: str | None) -> "Effector":
+        """Return a gripper behind the start of a plan, or a robot where it reaches the task.
+
+        Raises:
+            SpecError: the robot is not installed, or reaches the task from nowhere.
+        """
+        if robot is None:
+            return cls(gripper_at(plan, np.zeros(2)))
+        return cls(robot=robot, mount=propose_mount(task, robot))
+
+    def moved(self, by: NDArray) -> "Effector":
+        """Return the effector displaced horizontally [2] m."""
+        base = self.gripper or self.mount
+        assert base is not None
+        x, y, z = base.pos
+        moved = replace(base, pos=(x + float(by[0]), y + float(by[1]), z))
+        return replace(self, gripper=moved) if self.gripper else replace(self, mount=moved)
+
+    def on(self, task: Task) -> SceneTask:
+        """Return a task that the effector performs; of a robot only hand and fingers collide."""
+        return task.on(
+            controlled_scene(
+                task.scene, gripper=self.gripper, robot=self.robot, mount=self.mount, links=False
+            )
+        )
+
+    def script(self, task: SceneTask, plan: TaskPlan, control_s: float) -> Script | None:
+        """Return a motion along which episodes of training may start."""
+        if self.robot is None or self.mount is None:
+            return plan_script(task, plan, control_s)
+        return arm_script(task, self.robot, self.mount)
+
+
 def gripper_at(plan: TaskPlan, by: NDArray) -> Gripper:
     """Return a gripper behind the start of a plan, displaced horizontally [2] m."""
     x, y, z = (np.array(plan.position) - AWAY_M * _ahead(plan) + (*by, 0.0)).tolist()
@@ -68,15 +113,15 @@ def gripper_at(plan: TaskPlan, by: NDArray) -> Gripper:
     return Gripper((x, y, z), (w, i, j, k), plan.opening)
 
 
-def gripper_task(task: Task, gripper: Gripper) -> SceneTask:
-    """Return a task with a flying gripper."""
-    return task.on(controlled_scene(task.scene, gripper=gripper))
-
-
 def with_start_noise(task: SceneTask, variants: Variants, seed: int) -> Variants:
-    """Return variants in which the gripper starts elsewhere, by normal noise of `START_M`."""
+    """Return variants in which the gripper or robot is elsewhere, by normal noise of `START_M`."""
     model = task.controlled.model
     noise = np.random.default_rng(seed).normal(0.0, START_M, (len(variants), 3))
+    if task.controlled.arm is not None:
+        at = np.tile(model.body_pos, (len(variants), 1, 1)).astype(np.float32)
+        at = variants.fields.get("body_pos", at).copy()
+        at[:, task.controlled.robot_root] += noise
+        return replace(variants, fields={**variants.fields, "body_pos": at})
     qpos, ctrl = variants.qpos.copy(), np.tile(task.controlled.initial_ctrl, (len(variants), 1))
     for k, axis in enumerate("xyz"):
         qpos[:, model.joint(f"{PREFIX}-{axis}").qposadr[0]] += noise[:, k]

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neoworld_mjx.environments.predicates import Predicate
+from neoworld_mjx.environments.samples import sample
+from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import measured
-from neoworld_mjx.places import HERE, Place
 from neoworld_mjx.spec import SceneSpec
 
 from ..methods.layout_errors import offsets, validity
@@ -27,6 +28,7 @@ from ..rows import RowStore
 from .catalogue import find_task
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
+from .plan_reliability import sampled_plans
 from .task import ManipulationTask
 from .task_scenes import TaskPhoto, photographed_task
 
@@ -47,6 +49,8 @@ class PlannedThere:
     """Horizontal error of the task's object, less the common offset; None if it is missing."""
     seconds: float
     """Time of planning and the three executions [s]."""
+    plan: TaskPlan | None = None
+    """The plan, if there is one."""
 
 
 def planned_there(
@@ -90,6 +94,7 @@ def planned_there(
         float(np.linalg.norm(shift)),
         error,
         time.perf_counter() - began,
+        plan if isinstance(plan, TaskPlan) else None,
     )
 
 
@@ -165,6 +170,14 @@ class SuccessRow(MethodRow):
     """Time of the method, compiling included."""
     executing_s: float
     """Time of planning and of three executions."""
+    draws: int = 0
+    """Number of draws about the result that are kept, in which plans are executed."""
+    predicted: float | None = None
+    """Share of the draws in which the plan of the result succeeds."""
+    chosen_predicted: float | None = None
+    """Share of the draws in which that plan succeeds which succeeds in the most."""
+    chosen_on_truth: bool | None = None
+    """True if this plan solves the task in the ground truth."""
 
     @property
     def subject(self) -> str:
@@ -184,7 +197,7 @@ def run_successes(
     settings: RunSettings,
     *,
     starts: int,
-    place: Place = HERE,
+    machines: Machines = HERE,
     store: RowStore | None = None,
 ) -> list[SuccessRow]:
     """Run methods on tasks, except for rows that are already stored.
@@ -194,7 +207,7 @@ def run_successes(
         methods: of scene_methods.METHODS, and TRUTH.
         settings: of the run.
         starts: number of initial scenes of each task.
-        place: where they run.
+        machines: where they run.
         store: rows of an interrupted run, to which new ones are added; None keeps none.
 
     Raises:
@@ -208,7 +221,7 @@ def run_successes(
         starts={task.name: range(starts) for task in tasks},
         methods=methods,
         settings=settings,
-        place=place,
+        machines=machines,
         store=store,
     )
 
@@ -245,6 +258,7 @@ def _row(
     outcome: tuple[TaskPhoto, SceneSpec, MethodResult] | str,
 ) -> SuccessRow:
     valid, missed, seconds, rollouts = False, 0, 0.0, 0
+    draws, sampled = [], None
     if isinstance(outcome, str):
         failure = failed(outcome)
         there = PlannedThere(failure, failure, failure, 0.0, None, 0.0)
@@ -257,6 +271,10 @@ def _row(
         ).valid
         missed = len(_object_names(task.scene) - _object_names(scene))
         seconds, rollouts = result.seconds or 0.0, result.rollouts
+        if job.settings.samples and method != TRUTH:
+            drawn = sample(result.scene, job.settings.samples, seed=job.settings.seed)
+            draws = [photo.back(drawn.scene(int(k))) for k in drawn.kept]
+            sampled = sampled_plans(task, scene, there.plan, draws, common_offset(task, scene))
     return SuccessRow(
         **job.columns(method, errors),
         task=task.name,
@@ -274,6 +292,10 @@ def _row(
         object_error_m=there.object_error_m,
         seconds=seconds,
         executing_s=there.seconds,
+        draws=len(draws),
+        predicted=None if sampled is None else sampled.predicted,
+        chosen_predicted=None if sampled is None else sampled.chosen_predicted,
+        chosen_on_truth=None if sampled is None else sampled.chosen_on_truth.success,
         rollouts=rollouts,
     )
 

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from neoworld_mjx.compose.resting_pose import hold_joints
 from neoworld_mjx.errors import SpecError, choices
 from neoworld_mjx.physics.support import posed_shapes
-from neoworld_mjx.program.sandbox import run
+from neoworld_mjx.program.building import run
 from neoworld_mjx.spec import (
     Camera,
     ObjectSpec,

@@ -1,11 +1,10 @@
 """A scene with a free gripper in MuJoCo: compiling them together, and reading states."""
 
-from typing import ClassVar
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from neoworld_mjx.environments.robots import PREFIX as ROBOT
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.gripper import PREFIX, Gripper, attach_gripper
 from neoworld_mjx.physics.mjcf import COLLISION_GROUP, START, VISUAL_GROUP, body_name, to_mjspec
@@ -25,8 +24,6 @@ _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 class World:
     """One simulation: a scene in its composed state, with the gripper of a plan or without one."""
 
-    GRIPPER: ClassVar[str] = PREFIX
-
     def __init__(
         self,
         scene: SceneSpec,
@@ -35,7 +32,7 @@ class World:
         visual: bool = False,
         model: mujoco.MjModel | None = None,
     ) -> None:
-        """Start a simulation of a plan, or of `model`, a compiled scene with its gripper."""
+        """Start a simulation of a plan, or of `model`, a compiled scene with a gripper or robot."""
         self.scene, self.xp = scene, np
         self.model = _compile(scene, plan, visual) if model is None else model
         self.data = mujoco.MjData(self.model)
@@ -46,8 +43,9 @@ class World:
                 self.data.joint(f"{PREFIX}-{side}").qpos[0] = plan.opening / 2
             self.command(np.zeros(3), np.zeros(3), plan.opening)
         mujoco.mj_forward(self.model, self.data)
-        owners = [*(item.name for item in scene.objects), PREFIX]
         bodies = [self.model.body(b).name.split("-", 1)[0] for b in self.model.geom_bodyid]
+        self._gripper = ROBOT if ROBOT in bodies else PREFIX
+        owners = [*(item.name for item in scene.objects), self._gripper]
         self._owner = [owners.index(name) if name in owners else -1 for name in bodies]
         self._owners = owners
         self._items = {item.name: item for item in scene.objects}
@@ -101,7 +99,7 @@ class World:
 
     def held(self, name: str) -> np.bool_:
         """Return True if the gripper touches an object."""
-        return self.touches(name, self.GRIPPER)
+        return self.touches(name, self._gripper)
 
     def touched(self, name: str) -> set[str]:
         """Return the objects, and the gripper, that an object touches."""

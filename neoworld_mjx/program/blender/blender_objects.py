@@ -14,8 +14,8 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
-from ..execution import exception_signal, limit_signal
 from ..part import Joint, Part, Shape
+from ..sandbox import exception_signal, limit_signal
 from ..sdk_object import Object
 from ..session import LimitExceeded, Session, use_session
 from ..supports import MATERIALS

@@ -18,7 +18,7 @@ from ...errors import ProgramError
 from ...io import read_model
 from ...io.files import MIB, read_bytes
 from ...io.names import printable
-from ..execution import ENDLESS_HINT, MAX_PRINTED_BYTES
+from ..sandbox import ENDLESS_HINT, MAX_PRINTED_BYTES
 from .blender_child import UNAVAILABLE
 from .blender_scene import BlenderScene
 

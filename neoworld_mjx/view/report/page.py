@@ -86,16 +86,13 @@ def picture(path: Path, caption: str) -> Markup:
         return elements.missing_figure(f"{path.name} cannot be read", caption)
 
 
-def cropped_picture(
-    path: Path, window: tuple[float, float, float, float], caption: str, height: int = 150
-) -> Markup:
+def cropped_picture(path: Path, window: tuple[float, float, float, float], caption: str) -> Markup:
     """Embed a crop of a picture file; return empty markup if the file is missing or damaged.
 
     Args:
         path: the picture file.
         window: left, top, right and bottom, as fractions of the picture.
         caption: caption of the crop.
-        height: maximum height [pixels].
     """
     try:
         with _open(path) as (_, image):
@@ -106,7 +103,7 @@ def cropped_picture(
             crop = image.convert("RGB").crop((x0, y0, max(x1, x0 + 1), max(y1, y0 + 1)))
     except (OSError, RunError):
         return Markup()
-    crop.thumbnail((2 * height, height), Image.Resampling.LANCZOS)
+    crop.thumbnail((300, 150), Image.Resampling.LANCZOS)
     return _figure(crop, caption)
 
 

@@ -13,8 +13,6 @@ from ...io import read_arrays
 from .page import elements
 
 TITLE = "Convergence of the search"
-NOT_SAMPLED = -1
-"""Status of an entry of the arrays for which no candidate was sampled."""
 _NOTE = "Terms are those of the candidate with the best reward, in SI units, with their weights."
 
 
@@ -33,19 +31,17 @@ def convergence(path: Path) -> Markup:
         note = f"refine/history.npz cannot be read: {error}"
         return elements.section(TITLE, elements.missing(note))
     reward = history["reward"]
-    if len(reward) <= 1:
+    if not len(reward):
         note = "The composed scene was accepted; no search was needed."
         return elements.section(TITLE, elements.paragraph(note))
     names = [str(name) for name in history["term_names"]]
-    sampled = np.sum(history["status"] != NOT_SAMPLED, axis=1)
     valid = np.sum(history["valid"], axis=1)
-    failed = sampled - np.sum(np.isfinite(reward), axis=1)
+    failed = np.sum(~np.isfinite(reward), axis=1)
     best, mean = _over_finite(reward, np.max), _over_finite(reward, np.mean)
     chosen = np.where(np.isfinite(reward), reward, -np.inf).argmax(axis=1)
-    first = 0 if sampled[0] == 1 else 1  # Iteration 0 is the initial layout.
     rows = [
         [
-            *(t + first, f"{best[t]:.4f}", f"{mean[t]:.4f}", sampled[t], valid[t], failed[t]),
+            *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", reward.shape[1], valid[t], failed[t]),
             *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
         ]
         for t in range(len(reward))

@@ -1,6 +1,5 @@
-"""The page of an arm beside a scene: its files are written and its code is run."""
+"""The example of an arm beside a scene: its files are written and it is run."""
 
-import re
 import shutil
 from pathlib import Path
 
@@ -9,22 +8,20 @@ import pytest
 
 from neoworld_mjx.cli import main
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "how-to" / "arm-beside-a-scene.md").read_text(encoding="utf-8")
-BLOCKS = dict(re.findall(r'```\w+ title="([\w.]+)"\n(.*?)```', PAGE, re.S))
+ARM = Path(__file__).parents[2] / "examples" / "arm"
 
 
 @pytest.fixture
 def pushed(tmp_path, monkeypatch):
-    """The names of the page's first program after it has run."""
+    """The names of the example after it has run."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
-        main(["export", str(ROOT / "examples/arm/chest.py"), "--for", "mjx", "--out", "files"])
+        main(["export", str(ARM / "chest.py"), "--for", "mjx", "--out", "files"])
     assert end.value.code == 0
-    shutil.copy(ROOT / "examples/arm/arm.xml", tmp_path)
-    (tmp_path / "world.xml").write_text(BLOCKS["world.xml"])
+    for name in ("arm.xml", "world.xml"):
+        shutil.copy(ARM / name, tmp_path)
     names: dict = {}
-    exec(compile(BLOCKS["push.py"], "push.py", "exec"), names)
+    exec(compile((ARM / "push.py").read_text(encoding="utf-8"), "push.py", "exec"), names)
     return names
 
 

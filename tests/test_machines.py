@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.errors import ConfigError, EngineError, RunError, SpecError
-from neoworld_mjx.places import Place, check_place, run_tasks
+from neoworld_mjx.machines import Machines, check_machines, run_tasks
 
-# Without an import: `places` sets Ray's environment before it imports Ray.
+# Without an import: `machines` sets Ray's environment before it imports Ray.
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra ray")
 
 
@@ -46,28 +46,30 @@ def test_this_process_yields_one_result_after_the_other():
         next(results)
 
 
-@pytest.mark.parametrize("place", [Place(workers=-1), Place(task_gpus=-1), Place(task_cores=0)])
-def test_an_invalid_place_is_refused_before_anything_runs(place):
+@pytest.mark.parametrize(
+    "machines", [Machines(workers=-1), Machines(task_gpus=-1), Machines(task_cores=0)]
+)
+def test_an_invalid_machine_is_refused_before_anything_runs(machines):
     message = "--workers and --task-gpus take 0 or more, and --task-cores 1 or more"
     with pytest.raises(ConfigError, match=message):
-        check_place(place)
+        check_machines(machines)
     with pytest.raises(ConfigError, match=message):
-        list(run_tasks(squares, [2], place))
+        list(run_tasks(squares, [2], machines))
 
 
 def test_without_ray_a_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EngineError, match="--extra ray"):
-        check_place(Place(ray="local"))
+        check_machines(Machines(ray="local"))
 
 
 @pytest.mark.slow
 def test_several_processes():
-    assert sorted(run_tasks(squares, [2, 3], Place(workers=2))) == [2, 3, 4, 9]
+    assert sorted(run_tasks(squares, [2, 3], Machines(workers=2))) == [2, 3, 4, 9]
     with pytest.raises(SpecError, match="-1 is negative"):
-        list(run_tasks(squares, [2, -1], Place(workers=2)))
+        list(run_tasks(squares, [2, -1], Machines(workers=2)))
     with pytest.raises(RunError, match="a process died"):
-        list(run_tasks(dying, [3, 4], Place(workers=2)))
+        list(run_tasks(dying, [3, 4], Machines(workers=2)))
 
 
 @needs_ray
@@ -81,7 +83,7 @@ def test_several_processes():
 )
 def test_a_dead_ray_address_is_one_message(address, error, message):
     with pytest.raises(error, match=message):
-        check_place(Place(ray=address))
+        check_machines(Machines(ray=address))
 
 
 # Ray forks; JAX warns of that where an earlier test has imported it.
@@ -89,15 +91,15 @@ def test_a_dead_ray_address_is_one_message(address, error, message):
 @pytest.mark.slow
 @needs_ray
 def test_ray_repeats_the_task_of_a_lost_worker(tmp_path):
-    place = Place(ray="local", workers=2)
-    assert sorted(run_tasks(squares, [2, 3], place)) == [2, 3, 4, 9]
+    machines = Machines(ray="local", workers=2)
+    assert sorted(run_tasks(squares, [2, 3], machines)) == [2, 3, 4, 9]
     markers = [str(tmp_path / name) for name in "ab"]
-    assert sorted(run_tasks(dying_once, markers, place)) == markers
+    assert sorted(run_tasks(dying_once, markers, machines)) == markers
     with pytest.raises(SpecError, match="-1 is negative"):
-        list(run_tasks(squares, [2, -1], place))
+        list(run_tasks(squares, [2, -1], machines))
     with pytest.raises(ZeroDivisionError):
-        list(run_tasks(failing, [2], place))
+        list(run_tasks(failing, [2], machines))
     with pytest.raises(RunError, match="was lost 4 times"):
-        list(run_tasks(dying, [3], place))
+        list(run_tasks(dying, [3], machines))
     with pytest.raises(ConfigError, match="a task needs 8 GPU, but the cluster has 0"):
-        list(run_tasks(squares, [2], Place(ray="local", workers=1, task_gpus=8)))
+        list(run_tasks(squares, [2], Machines(ray="local", workers=1, task_gpus=8)))

@@ -1,4 +1,4 @@
-"""Places where tasks run: this process, processes on this machine, or a Ray cluster.
+"""Machines on which tasks run: this process, processes on this machine, or a Ray cluster.
 
 Ray (Moritz et al., arXiv:1712.05889) is installed by the extra `ray`.
 """
@@ -30,8 +30,8 @@ STORE_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
-    """Options of the place where tasks run; by default, this process."""
+class Machines:
+    """Options of the machines on which tasks run; by default, this process."""
 
     workers: int = 1
     """Number of processes; 0 starts one process for every two cores. With --ray local, the number
@@ -44,9 +44,9 @@ class Place:
     """Number of GPUs of each task on a cluster."""
 
     @property
-    def place(self) -> "Place":
+    def machines(self) -> "Machines":
         """Copy of these options without the options that a subclass adds."""
-        return Place(**{field.name: getattr(self, field.name) for field in fields(Place)})
+        return Machines(**{field.name: getattr(self, field.name) for field in fields(Machines)})
 
     @property
     def processes(self) -> int:
@@ -61,39 +61,39 @@ class Place:
         return max(1, (os.cpu_count() or 1) // self.processes)
 
 
-HERE = Place()
-"""Place for tasks that run in this process."""
+HERE = Machines()
+"""Tasks run in this process."""
 
 
-def check_place(place: Place) -> None:
-    """Check that tasks can run at a place, before anything else is done.
+def check_machines(machines: Machines) -> None:
+    """Check that tasks can run on machines, before anything else is done.
 
     Raises:
         ConfigError: a number or the address of the cluster is invalid.
         EngineError: Ray is not installed, or no cluster answers.
     """
-    if place.workers < 0 or place.task_cores < 1 or place.task_gpus < 0:
+    if machines.workers < 0 or machines.task_cores < 1 or machines.task_gpus < 0:
         raise ConfigError("--workers and --task-gpus take 0 or more, and --task-cores 1 or more")
-    if place.ray is None:
+    if machines.ray is None:
         return
-    if _open_ray().is_initialized() or place.ray == LOCAL:
+    if _open_ray().is_initialized() or machines.ray == LOCAL:
         return
-    host, _, port = place.ray.removeprefix("ray://").rpartition(":")
+    host, _, port = machines.ray.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(
-            f"--ray takes local or HOST:PORT, such as 10.0.0.1:6379, got {place.ray!r}"
+            f"--ray takes local or HOST:PORT, such as 10.0.0.1:6379, got {machines.ray!r}"
         )
     try:
         socket.create_connection((host, int(port)), CONNECT_S).close()
     except (OSError, OverflowError) as error:
         raise EngineError(
-            f"--ray {place.ray}: no Ray cluster answers ({error}); start one with ray start "
+            f"--ray {machines.ray}: no Ray cluster answers ({error}); start one with ray start "
             "--head, or use --ray local"
         ) from None
 
 
 def run_tasks(
-    work: Work[Task, Result], tasks: Sequence[Task], place: Place = HERE
+    work: Work[Task, Result], tasks: Sequence[Task], machines: Machines = HERE
 ) -> Iterator[Result]:
     """Run a function on tasks, and yield the results as they become available.
 
@@ -105,21 +105,21 @@ def run_tasks(
         work: function that maps a task to its results.
         tasks: arguments of `work`; unless tasks run in this process, tasks and results must be
             picklable.
-        place: where the tasks run.
+        machines: where the tasks run.
 
     Raises:
         RunError: a process died, the worker of a task was lost repeatedly, or a worker has
             different versions of the packages.
         NeoWorldError: a task raised this error.
     """
-    check_place(place)
-    if not tasks or (place.ray is None and place.processes == 1):
+    check_machines(machines)
+    if not tasks or (machines.ray is None and machines.processes == 1):
         for task in tasks:
             yield from work(task)
         return
     from .run_folder import versions  # Imported late to keep `--help` fast.
 
-    with _submitter(place) as submit:
+    with _submitter(machines) as submit:
         futures = [submit(run_in_worker, work, task, versions()) for task in tasks]
         for future in as_completed(futures):
             results = future.result()
@@ -154,13 +154,13 @@ def run_in_worker(
 
 
 @contextlib.contextmanager
-def _submitter(place: Place) -> Iterator[Callable[..., Future[Any]]]:
+def _submitter(machines: Machines) -> Iterator[Callable[..., Future[Any]]]:
     """Yield a function that submits a call to a worker, and cancel the calls that are left."""
-    if place.ray is not None:
-        with _on_ray(place) as submit:
+    if machines.ray is not None:
+        with _on_ray(machines) as submit:
             yield submit
         return
-    pool = ProcessPoolExecutor(place.processes, get_context("spawn"))
+    pool = ProcessPoolExecutor(machines.processes, get_context("spawn"))
     try:
         yield pool.submit
     except BrokenProcessPool:
@@ -185,15 +185,15 @@ def _open_ray() -> Any:
 
 
 @contextlib.contextmanager
-def _ray_session(ray: Any, place: Place) -> Iterator[None]:
+def _ray_session(ray: Any, machines: Machines) -> Iterator[None]:
     """Connect to a cluster or start a local one, unless Ray is already initialized."""
     if ray.is_initialized():
         yield
         return
-    options: dict[str, Any] = {"address": place.ray}
-    if place.ray == LOCAL:
+    options: dict[str, Any] = {"address": machines.ray}
+    if machines.ray == LOCAL:
         options |= {
-            "num_cpus": place.processes * place.task_cores,
+            "num_cpus": machines.processes * machines.task_cores,
             "include_dashboard": False,
             "object_store_memory": STORE_BYTES,
         }
@@ -201,7 +201,7 @@ def _ray_session(ray: Any, place: Place) -> Iterator[None]:
         ray.init(logging_level="ERROR", log_to_driver=False, **options)
     except Exception as error:  # Ray raises plain exceptions, for example if a node starts slowly.
         first = str(error).strip().split("\n", 1)[0]
-        raise EngineError(f"--ray {place.ray}: {first}") from None
+        raise EngineError(f"--ray {machines.ray}: {first}") from None
     try:
         yield
     finally:
@@ -209,21 +209,21 @@ def _ray_session(ray: Any, place: Place) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _on_ray(place: Place) -> Iterator[Callable[..., Future[Any]]]:
+def _on_ray(machines: Machines) -> Iterator[Callable[..., Future[Any]]]:
     ray, references = _open_ray(), []
-    with _ray_session(ray, place):
+    with _ray_session(ray, machines):
         available = ray.cluster_resources()
-        for name, required in (("CPU", place.task_cores), ("GPU", place.task_gpus)):
+        for name, required in (("CPU", machines.task_cores), ("GPU", machines.task_gpus)):
             if available.get(name, 0) < required:
                 raise ConfigError(
-                    f"--ray {place.ray}: a task needs {required} {name}, but the cluster has "
+                    f"--ray {machines.ray}: a task needs {required} {name}, but the cluster has "
                     f"{available.get(name, 0):g}"
                 )
 
         def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
             # Ray repeats a task only if its worker is lost, not if the task raises.
             remote = ray.remote(function).options(
-                num_cpus=place.task_cores, num_gpus=place.task_gpus, max_retries=RETRIES
+                num_cpus=machines.task_cores, num_gpus=machines.task_gpus, max_retries=RETRIES
             )
             references.append(remote.remote(*arguments))
             return references[-1].future()
@@ -235,7 +235,7 @@ def _on_ray(place: Place) -> Iterator[Callable[..., Future[Any]]]:
         except ray.exceptions.RayError as error:
             first = str(error).strip().split("\n", 1)[0]
             raise RunError(
-                f"--ray {place.ray}: the worker of a task was lost {RETRIES + 1} times, or the "
+                f"--ray {machines.ray}: the worker of a task was lost {RETRIES + 1} times, or the "
                 f"cluster is gone ({first}); finished tasks are kept"
             ) from None
         finally:

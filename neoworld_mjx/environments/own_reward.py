@@ -1,0 +1,94 @@
+"""Rewards of a user: functions of (obs, action, data, previous), or files that define them."""
+
+import importlib.util
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from ..errors import SpecError
+
+Reward = Callable[..., Any]
+"""Function of the observation, or of (obs, action, data, previous): the observations by name, the
+action, and the `SceneState` after and before it. It returns one number."""
+
+
+def with_four_arguments(reward: Reward) -> Reward:
+    """Return a reward of (obs, action, data, previous); the given one may take only the first.
+
+    Raises:
+        SpecError: the function takes neither one nor four arguments.
+    """
+    try:
+        signature = inspect.signature(reward)
+    except (TypeError, ValueError):  # a built-in function
+        return lambda obs, action, data, previous: reward(obs)
+    for count in (4, 1):
+        try:
+            signature.bind(*range(count))
+        except TypeError:
+            continue
+        return reward if count == 4 else lambda obs, action, data, previous: reward(obs)
+    raise SpecError(
+        f"reward: takes {signature}; it must take the observation, or (obs, action, data, previous)"
+    )
+
+
+def traced_reward(reward: Reward, *arguments: Any) -> Reward:
+    """Return a reward of four arguments that JAX can trace.
+
+    Args:
+        reward: the function.
+        arguments: example arguments (obs, action, data, previous).
+
+    Raises:
+        SpecError: JAX cannot trace the function, or it does not return one number.
+    """
+    four = with_four_arguments(reward)
+    try:
+        shape = jax.eval_shape(four, *arguments).shape
+    except Exception as error:  # The function of a user may raise anything.
+        first = str(error).strip().splitlines()[0] if str(error).strip() else ""
+        raise SpecError(
+            f"reward {reward_name(reward)}: JAX cannot trace it ({type(error).__name__}: {first}); "
+            "use jax.numpy on its arguments, without float() or if"
+        ) from None
+    if shape != ():
+        raise SpecError(f"reward {reward_name(reward)}: returns shape {shape}, not one number")
+    return four
+
+
+def reward_name(reward: Reward) -> str:
+    """Return the name of a reward, for messages and records."""
+    return getattr(reward, "__qualname__", type(reward).__qualname__)
+
+
+def read_reward(text: str) -> Reward:
+    """Import a reward that the user names as FILE.py:function.
+
+    Importing runs the file, so call it only with what the user typed, never with a name that a file
+    of a run folder or a policy has.
+
+    Raises:
+        SpecError: the text has another form, or the file or its function cannot be imported.
+    """
+    file, _, name = text.rpartition(":")
+    path = Path(file)
+    if path.suffix != ".py" or not name.isidentifier():
+        raise SpecError(f"reward: {text!r} is not of the form FILE.py:function")
+    if not path.is_file():
+        raise SpecError(f"reward: there is no file {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # Importing a file may raise anything.
+        raise SpecError(f"reward: cannot import {path} ({type(error).__name__}: {error})") from None
+    reward = getattr(module, name, None)
+    if not callable(reward):
+        own = [key for key, value in vars(module).items() if inspect.isfunction(value)]
+        raise SpecError(f"reward: {path} has no function {name}; it has: {', '.join(own)}")
+    return reward
