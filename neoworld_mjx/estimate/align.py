@@ -141,7 +141,7 @@ def align_to_boxes(
         options,
         frozenset(measured),
         None,
-        None,
+        Standing.of(unknowns, SceneGeoms.of(scene)),
         known,
         misjudged=False,
         boxes_only=depth is None,

@@ -79,7 +79,7 @@ class AlignmentProblem:
     colliders: SceneGeoms | None
     """Collision geoms of the scene; None if objects may overlap."""
     standing: Standing | None
-    """Objects that stay over their supports; None if objects may overlap."""
+    """Objects that stay over their supports; None if objects need not."""
     evidence: Evidence = field(default_factory=Evidence)
     """Known camera, depth image and masks."""
     misjudged: bool = True
@@ -243,10 +243,10 @@ class AlignmentProblem:
         )
         if self.edges is not None:
             equations.add_camera(*linearized_edges(self.edges, unknowns, x))
-        if self.colliders is not None:
-            gaps = [*contacts(self.colliders, unknowns, now)]
-            if self.standing is not None:
-                gaps += self.standing.insets(unknowns, now)
+        gaps = [] if self.colliders is None else [*contacts(self.colliders, unknowns, now)]
+        if self.standing is not None:
+            gaps += self.standing.insets(unknowns, now)
+        if gaps:
             equations.add_contacts(ContactGaps.of(gaps, unknowns, now, neighbors))
         if depth is not None:
             for k in range(len(unknowns.scene.objects)):
