@@ -75,6 +75,7 @@ def align(
     *,
     measured: Collection[str] = (),
     evidence: Evidence | None = None,
+    parsed: SceneSpec | None = None,
 ) -> Alignment:
     """Align a composed scene with its photograph.
 
@@ -88,6 +89,9 @@ def align(
             Their prior is narrower, but they still move if the contours clearly contradict them.
         evidence: known camera, depth image and masks; its photograph is not used. The scene's
             camera must have the known values.
+        parsed: the objects at their parsed places, about which the prior is; by default, the
+            composed scene. If the composed places come from the same 2D boxes, these would count
+            twice.
 
     Returns:
         The aligned scene, with its camera and each object's uncertainty. If the scene has no
@@ -98,7 +102,9 @@ def align(
     """
     o = options or AlignOptions()
     known = evidence or Evidence()
-    return _aligned(scene, photo, o, STAGES, measured=frozenset(measured), evidence=known)
+    return _aligned(
+        scene, photo, o, STAGES, measured=frozenset(measured), evidence=known, parsed=parsed
+    )
 
 
 def align_to_boxes(
@@ -194,6 +200,7 @@ def _aligned(
     evidence: Evidence,
     measured: frozenset[str] = frozenset(),
     only: Collection[str] | None = None,
+    parsed: SceneSpec | None = None,
 ) -> Alignment:
     camera = scene.camera
     if camera is None:
@@ -231,7 +238,8 @@ def _aligned(
     }
     colliders = SceneGeoms.of(scene) if o.contacts else None
     standing = None if colliders is None else Standing.of(unknowns, colliders)
-    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
+    prior = None if parsed is None else unknowns.values_of(parsed)
+    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence, prior=prior)
     try:
         problem = problem.measured(unknowns_of, supports=only is None)
         solution = _solution(problem, photo, images, stages)

@@ -88,6 +88,8 @@ class AlignmentProblem:
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
     mean: Float[np.ndarray, " u"] | None = None
     """Mean of the prior; None for the composed scene."""
+    prior: Float[np.ndarray, " u"] | None = None
+    """Values of the unknowns in the parse; None for the composed scene."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
@@ -117,7 +119,7 @@ class AlignmentProblem:
         it, on their supports: they were composed from the picture.
         """
         if self.plane is None:
-            return self.camera_start()
+            return self.camera_start() if self.prior is None else self.prior
         now = self.unknowns.place(np.zeros((1, self.unknowns.size)))[0]
         seen = (now.pos - now.camera.position()) @ now.camera.axes()
         return self._with_objects(lambda k: MeasuredPlace(seen[k], 1.0))

@@ -335,6 +335,28 @@ class Unknowns:
             places = [u for u in places if u == own or not self.is_size(u)]
         return places + [u for other in above.tolist() for u in self.rise_columns(other)]
 
+    def values_of(self, scene: SceneSpec) -> Float[np.ndarray, " u"]:
+        """Return the values at which camera and objects are where another scene has them.
+
+        Args:
+            scene: the same objects on the same supports, at other places and sizes.
+        """
+        x, before, after = np.zeros(self.size), self.camera, scene.camera or self.camera
+        x[:CAMERA] = (
+            after.pitch - before.pitch,
+            after.roll - before.roll,
+            math.log(after.focal / before.focal),
+            math.log(after.height / before.height),
+        )
+        for k in self.free[~self.in_wall[self.free].any(axis=1)].tolist():
+            item = self.scene.objects[k]
+            other = scene.object(item.name)
+            sizes = [np.linalg.norm(np.subtract(*bounds(o.spec))) for o in (other, item)]
+            turn = math.remainder(other.yaw - item.yaw, 2 * math.pi)
+            shift = np.subtract(other.xy, item.xy)
+            x[self.columns(k)] = (*shift, turn, math.log(sizes[0] / sizes[1]))
+        return x
+
     def scene_at(self, x: Float[np.ndarray, " u"]) -> SceneSpec:
         """Return the scene, with its camera, at the values `x` of the unknowns."""
         layout = self.layout(x[None])

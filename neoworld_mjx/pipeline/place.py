@@ -74,6 +74,7 @@ def place(
     if known is not None:
         tree = with_known_camera(tree, known)
     tree, by_boxes = evidence.objects.applied(tree, objects), None
+    parsed = None
     if options.refit and evidence.boxes:
         parsed = evidence.objects.marked(as_parsed(tree, objects))
         by_boxes = align_to_boxes(parsed, measured=tree.camera_measured, evidence=evidence)
@@ -88,6 +89,7 @@ def place(
         options=options.align,
         measured=tree.camera_measured,
         evidence=evidence,
+        parsed=parsed,
     )
     scene = _with_kept(put_down(alignment.scene), tree, evidence)
     seconds = time.perf_counter() - began
