@@ -147,7 +147,7 @@ def align_to_boxes(
         options,
         frozenset(measured),
         None,
-        Standing.of(unknowns, SceneGeoms.of(scene)),
+        Standing.of(unknowns, SceneGeoms.of(scene), parsed=True),
         known,
         misjudged=False,
         boxes_only=depth is None,

@@ -27,6 +27,10 @@ FAR = 0.25
 """Distance of a composed center of mass outside its support, relative to the width of the object,
 above which something else must carry the object, too."""
 
+FAR_PARSED, ELONGATED = 3.0, 2.0
+"""The same distance from a parsed place, for an object that is not elongated, and the least ratio of
+the horizontal sides of an elongated object."""
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -40,12 +44,14 @@ class Standing:
     """Index of each object that stays over its support, and of the support."""
 
     @classmethod
-    def of(cls, unknowns: Unknowns, colliders: SceneGeoms) -> "Standing":
-        """Return the objects that stay over their supports in the composed scene.
+    def of(cls, unknowns: Unknowns, colliders: SceneGeoms, *, parsed: bool = False) -> "Standing":
+        """Return the objects that stay over their supports.
 
         Args:
             unknowns: the unknowns.
             colliders: the compiled scene, at its composed poses.
+            parsed: True if the objects are at their parsed places, which are less accurate than the
+                statement of what carries an object that is not elongated.
         """
         scene, model, data = unknowns.scene, colliders.model, colliders.data
         names = [item.name for item in scene.objects]
@@ -57,7 +63,7 @@ class Standing:
             for at, middle in zip(world_poses(scene).values(), middles, strict=True)
         ]
         standing = cls(mass, np.array(centers))
-        return replace(standing, supports=_on_one_support(standing, unknowns))
+        return replace(standing, supports=_on_one_support(standing, unknowns, parsed=parsed))
 
     def insets(self, unknowns: Unknowns, now: Placement) -> Iterator[Gap]:
         """Yield how far centers of mass are inside the edges of their supports in a placement."""
@@ -88,7 +94,9 @@ class Standing:
                 yield Gap(distance - inset, INSET_DEVIATION_M, normal, (*points, foot))
 
 
-def _on_one_support(standing: Standing, unknowns: Unknowns) -> tuple[tuple[int, int], ...]:
+def _on_one_support(
+    standing: Standing, unknowns: Unknowns, *, parsed: bool
+) -> tuple[tuple[int, int], ...]:
     """Return the indices of each object that stands on one upright support, and of the support.
 
     Objects on moving parts, and contents that lean, are omitted. So is an object whose center is
@@ -106,6 +114,8 @@ def _on_one_support(standing: Standing, unknowns: Unknowns) -> tuple[tuple[int, 
             continue
         outside = -min(gap.value for gap in standing.edges(unknowns, now, k, support))
         low, high = bounds(item.spec, item.joint_state)
-        if outside < FAR * float(np.subtract(high, low)[:2].max()):
+        shorter, longer = sorted(np.subtract(high, low)[:2].tolist())
+        compact = parsed and longer < ELONGATED * shorter
+        if outside < (FAR_PARSED if compact else FAR) * longer:
             found.append((k, support))
     return tuple(found)
