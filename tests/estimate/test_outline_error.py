@@ -35,7 +35,7 @@ def scene_of(*, size: float = 1.0, y: float = 0.0) -> SceneSpec:
 
 @pytest.fixture(scope="module")
 def photo():
-    return photograph_of(scene_of()).rgb
+    return photograph_of(scene_of())
 
 
 def radius_px() -> float:
