@@ -28,8 +28,8 @@ FAR = 0.25
 above which something else must carry the object, too."""
 
 FAR_PARSED, ELONGATED = 3.0, 2.0
-"""The same distance from a parsed place, for an object that is not elongated, and the least ratio of
-the horizontal sides of an elongated object."""
+"""The same distance from a parsed place, for an object that is not elongated; least ratio of the
+horizontal sides of an elongated object."""
 
 
 @dataclass(frozen=True)
