@@ -53,7 +53,7 @@ of the log scale. They were set on the development half of the benchmark scenes.
 bench run coverage` counts the 90 % intervals that contain the true value."""
 
 
-BOXES = AlignmentStage(8, COARSE_PX, depth_reach=0.1)
+BOXES = AlignmentStage(8, COARSE_PX)
 """Steps by the 2D boxes alone, from the parsed places."""
 STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
@@ -121,7 +121,7 @@ def align_to_boxes(
     Args:
         scene: the scene composed at the parsed places.
         measured: as for `align`.
-        evidence: known camera.
+        evidence: known camera, and a metric depth image from whose places the estimate starts.
 
     Returns:
         The alignment; its scene is unchanged if it has no camera or no free object.
@@ -130,14 +130,9 @@ def align_to_boxes(
         return Alignment(scene)
     given = evidence or Evidence()
     depth = given.depth if given.depth is not None and given.depth.kind == "metric" else None
-    known = Evidence(camera=given.camera, depth=depth, masks=None if depth is None else given.masks)
+    known = Evidence(camera=given.camera, depth=depth, masks=given.masks)
     # Boxes cannot tell a wrong field of view from wrong distances, nor show the roll.
-    unknowns_of = partial(
-        Unknowns.of,
-        camera=scene.camera,
-        held=(ROLL, FOCAL) if depth is None else (FOCAL,),
-        rises=depth is not None,
-    )
+    unknowns_of = partial(Unknowns.of, camera=scene.camera, held=(ROLL, FOCAL))
     unknowns = unknowns_of(scene)
     if not len(unknowns.free):
         return Alignment(scene)
@@ -150,10 +145,14 @@ def align_to_boxes(
         Standing.of(unknowns, SceneGeoms.of(scene), parsed=True),
         known,
         misjudged=False,
-        boxes_only=depth is None,
+        boxes_only=True,
     )
     try:
+        # Depth states where an object is, but only near its place which of its pixels are its own.
         problem = problem.measured(unknowns_of, supports=True)
+        x = problem.start()
+        known = Evidence(camera=given.camera)
+        problem = replace(problem, evidence=known, initial=x, prior=x)
         solution = _solution(problem, None, {COARSE_PX: [None]}, (BOXES,))
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=_failure(error))

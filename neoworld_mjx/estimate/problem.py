@@ -90,6 +90,8 @@ class AlignmentProblem:
     """Mean of the prior; None for the composed scene."""
     prior: Float[np.ndarray, " u"] | None = None
     """Values of the unknowns in the parse; None for the composed scene."""
+    initial: Float[np.ndarray, " u"] | None = None
+    """Initial values of the unknowns; None to derive them from the evidence."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
@@ -107,6 +109,8 @@ class AlignmentProblem:
 
         The plane of a support locates the camera first. Objects follow, parents first.
         """
+        if self.initial is not None:
+            return self.initial
         if self.evidence.depth is None:
             return self.camera_start()
         first = self.depth_at(np.zeros(self.unknowns.size))
@@ -118,6 +122,8 @@ class AlignmentProblem:
         A measured plane turns the camera. Objects then keep their composed horizontal places before
         it, on their supports: they were composed from the picture.
         """
+        if self.initial is not None and self.prior is not None:
+            return self.prior
         if self.plane is None:
             return self.camera_start() if self.prior is None else self.prior
         now = self.unknowns.place(np.zeros((1, self.unknowns.size)))[0]
