@@ -293,12 +293,16 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
 
 
 def test_requests_that_are_not_open_yet_are_one_state(tmp_path):
+    def progress(unanswered):
+        facts = {"step": "program", "unanswered": unanswered}
+        return logging.makeLogRecord({"levelno": logging.DEBUG, "facts": facts})
+
     run = AgentRun(tmp_path)
     (tmp_path / "p-scene").mkdir()
     run._latest = _Computation(_Session(photo="p.png", out="p-scene"))
-    run._progress.emit(logging.makeLogRecord({"facts": {"step": "program", "unanswered": 2}}))
+    run._progress.emit(progress(2))
     assert run.state() == "p-scene: prepares requests for you: call next_request()"
-    run._progress.emit(logging.makeLogRecord({"facts": {"step": "program", "unanswered": 0}}))
+    run._progress.emit(progress(0))
     assert run.state().startswith("p-scene: computes: program")
 
 

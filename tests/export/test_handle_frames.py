@@ -15,14 +15,15 @@ pine, steel = cabinet.material("pine"), cabinet.material("steel")
 carcass = cabinet.part("carcass", material=pine)
 carcass.add(box((0.5, 0.7, 0.4)), by="bottom")
 door = cabinet.door(
-    "door", carcass, x=0.25, y=(-0.35, 0.35), z=(0, 0.4), hinge="left", thickness=0.06, material=pine,
+    "door", carcass, x=0.25, y=(-0.35, 0.35), z=(0, 0.4), hinge="left", thickness=0.06,
 )
 front = door.anchor("front")[0]
 """
 BAR = """
 for k, z in enumerate((0.1, 0.3)):
     post = cylinder(0.015, 0.08)
-    door.add(post, at=(front - 0.003, -0.25, z), rpy=(0, 1.5708, 0), by="back", material=steel{post})
+    at = (front - 0.003, -0.25, z)
+    door.add(post, at=at, rpy=(0, 1.5708, 0), by="back", material=steel{post})
 door.add(cylinder(0.02, 0.3), at=(front + 0.08, -0.25, 0.05), by="bottom", material=steel{bar})
 """
 NAMES = [
