@@ -126,6 +126,17 @@ def pose_in_words(scene: SceneSpec, name: str) -> str:
     return f"{name} on {item.parent}: at {at}, {turn}, joints {json.dumps(item.joint_state)}"
 
 
+def fall_of_agreement(earlier: dict[str, Any], later: dict[str, Any], name: str) -> str:
+    """Return the box IoU of an object before and after an edit; empty if it does not fall."""
+    before, after = (
+        metrics.get("box_iou", {}).get("objects", {}).get(name, {}).get("refined")
+        for metrics in (earlier, later)
+    )
+    if before is None or after is None or round(after, 2) >= round(before, 2):
+        return ""
+    return f"{before:.2f} -> {after:.2f}"
+
+
 def _edits(out: Path) -> list[Path]:
     """Return the records of edits, oldest first."""
     paths = sorted((out / EDITS).glob("*.json"))

@@ -212,8 +212,12 @@ class AgentRun:
         run = self._current()
         if not run.ended.is_set():
             names = open_requests(self._mailbox(run.session))
-            progress = self._progress.text() or "starts"
-            state = f"waits for you: {', '.join(names)}" if names else f"computes: {progress}"
+            if names:
+                state = f"waits for you: {', '.join(names)}"
+            elif self._progress.unanswered:
+                state = "prepares requests for you: call next_request()"
+            else:
+                state = f"computes: {self._progress.text() or 'starts'}"
         else:
             result = run.result
             state = f"stopped: {run.error}" if result is None else f"finished: {result.verdict}"

@@ -15,6 +15,7 @@ from ..mllm import Picture
 from ..mllm.mailbox_client import open_requests, read_request, respond
 from ..mllm.requests import without_titles
 from ..names import Format, Simulator
+from ..quantities import count
 from .agent_run import AgentRun
 
 if TYPE_CHECKING:
@@ -201,10 +202,11 @@ class AgentTools:
 
     def status(self) -> Content:
         """Return the state of the run: open requests, progress, or the verdict with reasons."""
-        from .result_lines import run_lines
+        from .result_lines import DETAILS, run_lines
 
         state, result = self.agent_run.state(), self.agent_run.result
         rows = [] if result is None else run_lines(result.summary())[1:]
+        rows = [row.removesuffix(f"; {DETAILS}") for row in rows]
         return ["\n".join([state, *rows])]
 
     def render(
@@ -273,12 +275,12 @@ class AgentTools:
             wait_s: maximum time to wait for the result [s]; after that, call next_request().
         """
         from ..spec import read_scene
-        from .agent_edits import apply_edit, pose_in_words, undo_edit
+        from .agent_edits import apply_edit, fall_of_agreement, pose_in_words, undo_edit
 
         out = self.agent_run.current()
         if self.agent_run.result is None:
             raise RunError(f"the run has not finished: {self.agent_run.state()}")
-        scene = read_scene(out)
+        scene, earlier = read_scene(out), self.agent_run.result.metrics
         names = [item.name for item in scene.objects]
         if undo:
             done, step = undo_edit(out)
@@ -295,6 +297,9 @@ class AgentTools:
         self.agent_run.wait(min(max(wait_s, 0.0), 600.0))
         rows = [done, *self.status()]
         if self.agent_run.result is not None and object in names:
+            later = self.agent_run.result.metrics
+            if joints and (fall := fall_of_agreement(earlier, later, object)):
+                rows += [f"box IoU of {object} {fall}: the photograph shows its joints elsewhere"]
             rows += [f"before: {pose_in_words(scene, object)}"]
             rows += [f"now: {pose_in_words(read_scene(out), object)}"]
         return ["\n".join(map(str, rows))]
@@ -304,6 +309,7 @@ class AgentTools:
         formats: tuple[Format, ...] = (),
         simulator: Simulator | None = None,
         out: str = "",
+        overwrite: bool = False,
     ) -> Content:
         """Export the scene; list the files, and what the formats cannot hold.
 
@@ -311,15 +317,25 @@ class AgentTools:
             formats: default: all, or those that suit the simulator best.
             simulator: simulator for which the files are written.
             out: new folder in the server's folder; default: RUN-export.
+            overwrite: write into a folder that is not empty.
         """
         from .export_command import ExportCommand
 
         target = self.agent_run.with_scene("scene.json")
         folder = self.agent_run.path(out or f"{target.name}-export")
-        command = ExportCommand(target=target, out=folder, format=formats, simulator=simulator)
+        if not overwrite and folder.is_dir() and any(folder.iterdir()):
+            raise RunError(
+                f"{folder} is not empty: name another folder as out, or call with overwrite=true"
+            )
+        command = ExportCommand(
+            target=target, out=folder, format=formats, simulator=simulator, overwrite=overwrite
+        )
         result = command.run()
-        named = [file for file in map(str, result["files"]) if "meshes/" not in file]
-        return ["\n".join([*command.lines(result)[:-1], *named])]
+        files = [str(file) for file in result["files"]]
+        rows = [file for file in files if "meshes/" not in file]
+        if meshes := len(files) - len(rows):
+            rows.append(f"and {count(meshes, 'file')} of meshes")
+        return ["\n".join([*command.lines(result)[:-1], *rows])]
 
 
 TOOLS = tuple(name for name in vars(AgentTools) if not name.startswith("_"))

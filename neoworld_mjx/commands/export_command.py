@@ -45,7 +45,7 @@ class ExportCommand(ConfiguredCommand):
         kinds = self.format or (PREFERRED_FORMATS[self.simulator] if self.simulator else FORMATS)
         mjx = self.simulator == "mjx"
         if mjx and "mjcf" not in kinds:
-            raise SpecError("--for mjx writes MJCF: omit --format, or include mjcf")
+            raise SpecError("for mjx, MJCF is written: name no format, or mjcf among the formats")
         if self.floor and "mjcf" not in kinds:
             raise SpecError(
                 "--floor is written to MJCF only: add --format mjcf, or a floor in the simulator"

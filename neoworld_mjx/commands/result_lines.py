@@ -15,7 +15,7 @@ _MIN_COLUMNS, _MAX_COLUMNS = 60, 110
 
 def run_lines(result: CommandResult) -> list[str]:
     """Summarize a reconstruction or a refinement."""
-    from ..run_folder import verdict_line
+    from ..run_folder import CAMERA_NOTE, verdict_line
 
     rows = [verdict_line(result)]
     if result["passed"] is None:
@@ -28,6 +28,9 @@ def run_lines(result: CommandResult) -> list[str]:
         worst = agreement.get("worst") or {}
         low = f", worst {worst['name']} {worst['value']:.2f}" if worst.get("name") else ""
         rows.append(f"photo:  mean box IoU {agreement['refined']:.2f}{low}")
+    rows += [
+        f"camera: {note['why']}" for note in result.get("notes", ()) if note["what"] == CAMERA_NOTE
+    ]
     fallbacks = [f"{e['step']}: {e['what']}: {e['why']}" for e in result["fallbacks"]]
     if fallbacks:
         rows += [f"{count(fallbacks, 'fallback')}:", *_indented(fallbacks)]

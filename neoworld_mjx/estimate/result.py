@@ -1,7 +1,7 @@
 """Result of the estimate: the aligned scene, its changes, and their uncertainty."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -10,16 +10,18 @@ from jaxtyping import Float
 
 from ..spec import Camera, SceneSpec
 from ..spec.scene import PoseUncertainty
-from .rows.edges import CameraEstimate
+from .rows.edges import ESTIMATED, MEASURED, CameraEstimate
 from .unknowns import Unknowns
 
 NOTED_M, NOTED_SIZE, NOTED_DEG = 0.05, 0.10, 10.0
 """Changes of position [m], size (relative) and heading [deg] above which a note reports them."""
-NOTED_VIEW_DEG, NOTED_HEIGHT = 2.0, 0.05
-"""Changes of the camera's angles [deg] and height (relative) above which a note reports them."""
+NOTED_VIEW_DEG, NOTED_HEIGHT = 1.0, 0.03
+"""Changes of the camera's angles [deg] and height (relative) above which `camera_change` reports
+them."""
 
 EvidenceKind = Literal["pixels", "box", "none"]
 """Evidence of an object's pose: its contour in the pixels, its 2D box, or none."""
+EVIDENCE_NAMES = {"pixels": "contours", "box": "2D boxes"}
 
 
 @dataclass(frozen=True)
@@ -107,26 +109,14 @@ class Alignment:
     """Unknowns and their estimates; None if there were no unknowns or if the solver failed."""
 
     def notes(
-        self, before: SceneSpec, start: str = "composed", cause: str = "the photograph"
+        self, start: str = "composed", cause: str = "the photograph"
     ) -> Iterator[tuple[str, str]]:
-        """Yield a note, as a title and a text, for each large change of the camera or an object.
+        """Yield a note, as a title and a text, for each large change of an object.
 
         Args:
-            before: the scene before the alignment.
-            start: the poses in it.
+            start: the poses before the alignment.
             cause: what changed them.
         """
-        camera = before.camera
-        turned = max(abs(self.pitch_deg), abs(self.roll_deg), abs(self.fovy_deg))
-        if camera is not None and (
-            turned > NOTED_VIEW_DEG or abs(self.height_m) > NOTED_HEIGHT * abs(camera.height)
-        ):
-            yield (
-                "a camera that differs from the response's",
-                f"{cause} turned it by {self.pitch_deg:+.1f} deg in pitch and "
-                f"{self.roll_deg:+.1f} deg in roll, changed its field of view by "
-                f"{self.fovy_deg:+.1f} deg and its height by {100 * self.height_m:+.0f} cm",
-            )
         for name, change in self.objects.items():
             distance = math.hypot(*change.shift_m)
             if (
@@ -165,6 +155,36 @@ class Alignment:
             },
             **({"views": {n: v.to_json() for n, v in self.views.items()}} if self.views else {}),
         }
+
+
+def camera_change(before: Camera, after: Camera, alignments: Collection[Alignment]) -> str:
+    """Return what became of a response's camera, and from what; empty if it hardly changed.
+
+    Known parameters are left out.
+
+    Args:
+        before: the camera of the response.
+        after: the camera of the scene.
+        alignments: the alignments between them.
+    """
+    estimates = {name: e.source for done in alignments for name, e in done.camera.items()}
+    changes, sources = [], dict[str, None]()
+    for name, title in (("fovy", "field of view"), ("pitch", "pitch"), ("roll", "roll")):
+        start, end = (math.degrees(getattr(camera, name)) for camera in (before, after))
+        if abs(end - start) > NOTED_VIEW_DEG and estimates.get(name, "").startswith(ESTIMATED):
+            changes.append((name, f"{title} {start:.1f} -> {end:.1f} degrees"))
+    if abs(after.height - before.height) > NOTED_HEIGHT * abs(before.height) and estimates.get(
+        "height", ""
+    ).startswith(ESTIMATED):
+        changes.append(("height", f"height {before.height:.2f} -> {after.height:.2f} m"))
+    for name, _ in changes:
+        phrases = estimates[name].removeprefix(ESTIMATED).removeprefix(": ")
+        # What the response measured is where the estimate started.
+        sources |= {phrase: None for phrase in phrases.split(", ") if phrase not in ("", MEASURED)}
+    kinds = {change.evidence for done in alignments for change in done.objects.values()}
+    sources |= dict.fromkeys(EVIDENCE_NAMES[kind] for kind in EVIDENCE_NAMES if kind in kinds)
+    said = ", ".join(text for _, text in changes)
+    return f"{said} (estimated from: {', '.join(sources)})" if changes else ""
 
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:

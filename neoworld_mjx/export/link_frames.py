@@ -65,6 +65,10 @@ HANDLE = re.compile(r"handle|knob|pull|grip|lever|finial", re.IGNORECASE)
 """Pattern of the names of parts and geoms that serve as handles."""
 MARGIN_M = 0.005
 """Margin of the box around a handle; contacts inside the box are contacts with the handle [m]."""
+SMALL = 0.25
+"""Share of a part's face above which a geom in front of it is no handle, but the part's front."""
+SAME_M = 1e-3
+"""Difference of two shapes' reaches below which they reach equally far [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +89,18 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
     """Return an object's sites, and a frame <part>_handle for each part that a joint moves.
 
     No frame is added for a mimic joint, or if the part has a site <part>_handle. Otherwise the
-    handle is, in this order of precedence:
+    handle is, in this order of precedence, among the geoms of the moved part and of the parts fixed
+    to it:
 
-    - the center of the geoms whose names, or whose parts' names, match `HANDLE`, among the geoms of
-      the moved part and of the parts fixed to it;
-    - for a continuous joint, the center of the moved part;
-    - for a prismatic joint, the center of the side toward which the part moves;
-    - for a revolute or ball joint, the center of the side that is farthest from the joint.
+    - the geoms whose names, or whose parts' names, match `HANDLE`;
+    - for a continuous joint, the moved part;
+    - the geom that reaches farthest toward where the joint opens, if it covers at most `SMALL` of
+      the part as seen from there: a bar or a knob in front of a door;
+    - for a prismatic joint, the side toward which the part moves;
+    - for a revolute or ball joint, the side that is farthest from the joint.
+
+    The frame is at the center of the handle. A named handle whose center lies in none of its
+    shapes, such as a bar on two posts, has the frame at the shape that reaches farthest.
     """
     site_frames = [Frame(site.name, site.part, site.pos) for site in spec.sites]
     taken = {site.name for site in spec.sites}
@@ -108,23 +117,91 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
     return (*site_frames, *result)
 
 
+@dataclass(frozen=True)
+class _Shape:
+    """Box around one convex piece of a geom, in the object's frame [m]."""
+
+    geom: str
+    named: bool
+    """Whether the name of the geom or of its part matches `HANDLE`."""
+    low: NDArray
+    high: NDArray
+
+
 def _handle(spec: ObjectSpec, joint: JointSpec, name: str) -> Frame:
     group = welded(spec)
-    handle_boxes, boxes = [], []
-    for part in spec.parts:
-        if group[part.name] != group[joint.child]:
-            continue
-        for geom, piece, local in pieces(part):
-            box = box_around(piece, local)
-            boxes.append(box)
-            if HANDLE.search(geom.name) or (HANDLE.search(part.name) and part.name != spec.root):
-                handle_boxes.append(box)
-    lows, highs = zip(*(handle_boxes or boxes), strict=True)
-    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-    center, half = (low + high) / 2, (high - low) / 2
-    if not handle_boxes:
+    shapes = [
+        _Shape(
+            f"{part.name}/{geom.name}",
+            bool(HANDLE.search(geom.name) or (HANDLE.search(part.name) and part.name != spec.root)),
+            *box_around(piece, local),
+        )
+        for part in spec.parts
+        if group[part.name] == group[joint.child]
+        for geom, piece, local in pieces(part)
+    ]
+    center, half = _around(shapes)
+    way = _opening_way(joint, center)
+    if named := [shape for shape in shapes if shape.named]:
+        center, half = _solid(named, joint, way)
+    elif way is not None and (before := _in_front(shapes, joint, way)):
+        center, half = _solid(before, joint, way)
+    else:
         center, half = _leading_side(joint, center, half)
     return Frame(name, joint.child, _triple(center), _triple(half + MARGIN_M), joint.name)
+
+
+def _around(shapes: list[_Shape]) -> tuple[NDArray, NDArray]:
+    """Return the center and the half edge lengths of the box around shapes [m]."""
+    low = np.min([shape.low for shape in shapes], axis=0)
+    high = np.max([shape.high for shape in shapes], axis=0)
+    return (low + high) / 2, (high - low) / 2
+
+
+def _opening_way(joint: JointSpec, center: NDArray) -> tuple[int, float] | None:
+    """Return the axis and sign nearest to how a part's center moves when the joint opens.
+
+    None if the joint has no such direction.
+    """
+    if joint.type not in ("prismatic", "revolute"):
+        return None
+    way = np.array(joint.axis, float)
+    if joint.type == "revolute":
+        way = np.cross(way, center - np.array(joint.pos))
+    way *= 1.0 if abs(joint.upper) >= abs(joint.lower) else -1.0
+    k = int(np.argmax(np.abs(way)))
+    return k, float(np.sign(way[k]) or 1.0)
+
+
+def _farthest(shapes: list[_Shape], joint: JointSpec, way: tuple[int, float]) -> _Shape:
+    """Return the shape that reaches farthest; among equals, the one farthest from the joint."""
+    k, sign = way
+    reach = [max(sign * shape.low[k], sign * shape.high[k]) for shape in shapes]
+    first = [s for s, r in zip(shapes, reach, strict=True) if r > max(reach) - SAME_M]
+    anchor = np.array(joint.pos)
+    # Rounded, so that mirrored shapes are equal and the first is returned.
+    return max(first, key=lambda s: round(float(np.linalg.norm((s.low + s.high) / 2 - anchor)), 6))
+
+
+def _in_front(shapes: list[_Shape], joint: JointSpec, way: tuple[int, float]) -> list[_Shape]:
+    """Return the shapes of the geom that reaches farthest; none if it is no small one."""
+    geom = _farthest(shapes, joint, way).geom
+    found = [shape for shape in shapes if shape.geom == geom]
+    across = [k for k in range(3) if k != way[0]]
+    seen, whole = (float(np.prod(_around(group)[1][across])) for group in (found, shapes))
+    return found if seen <= SMALL * whole else []
+
+
+def _solid(
+    shapes: list[_Shape], joint: JointSpec, way: tuple[int, float] | None
+) -> tuple[NDArray, NDArray]:
+    """Return the box around shapes, or around one of them if the box's center is in none."""
+    center, half = _around(shapes)
+    if way is None or any(np.all((s.low <= center) & (center <= s.high)) for s in shapes):
+        return center, half
+    farthest = _farthest(shapes, joint, way)
+    geom = [shape for shape in shapes if shape.geom == farthest.geom]
+    return _around([farthest]) if len(geom) == len(shapes) else _solid(geom, joint, way)
 
 
 def _leading_side(joint: JointSpec, center: NDArray, half: NDArray) -> tuple[NDArray, NDArray]:

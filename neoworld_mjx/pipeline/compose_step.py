@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import SpecError
 from ..io import read_model
-from ..run_folder import RunFolder
+from ..run_folder import CAMERA_NOTE, RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
 from .edited_files import edited_objects, moves_from_tree, tree_edited
 from .step_context import (
@@ -77,6 +77,7 @@ def compose_scene(context: StepContext) -> None:
             if placed.alignment is not None and evidence.photo is not None:
                 start = placed.composed.scene
                 _write_alignment(run, start, placed.alignment, evidence, out)
+            _note_camera(run, tree, placed)
             scene, base = placed.scene, None
             if scene.camera is not None and evidence.camera is not None:
                 base = evidence.camera.base_frame(scene.camera)
@@ -139,7 +140,7 @@ def _write_fit(run: RunFolder, tree: SceneTree, by_boxes: "Alignment", out: Path
     write_files(out, {TREE: tree.to_json(), REFIT: by_boxes.to_json()})
     if by_boxes.failure:
         run.fallback("compose", "the scene is not aligned with its 2D boxes", by_boxes.failure)
-    for outcome, reason in by_boxes.notes(by_boxes.scene, "parsed", "its 2D box"):
+    for outcome, reason in by_boxes.notes("parsed", "its 2D box"):
         run.note("compose", outcome, reason)
 
 
@@ -195,7 +196,7 @@ def _write_alignment(
             shown = (s.model_copy(update={"camera": view.camera}) for s in (scene, aligned))
             picture = to_png(outline_picture(further.photo, *shown))
             write_files(out, {f"pictures/view_{number}.png": picture})
-    for outcome, reason in alignment.notes(scene):
+    for outcome, reason in alignment.notes():
         run.note("compose", outcome, reason)
 
 
@@ -206,6 +207,16 @@ def _with_own_looks(scene: SceneSpec, before: SceneSpec, assets: Collection[str]
         for item, old in zip(scene.objects, before.objects, strict=True)
     )
     return scene.model_copy(update={"objects": objects})
+
+
+def _note_camera(run: RunFolder, tree: SceneTree, placed: "LayoutEstimate") -> None:
+    """Note how the camera differs from that of the response."""
+    from ..estimate.result import camera_change
+
+    alignments = [done for done in (placed.by_boxes, placed.alignment) if done is not None]
+    camera = placed.scene.camera
+    if camera is not None and (change := camera_change(tree.camera, camera, alignments)):
+        run.note("compose", CAMERA_NOTE, change)
 
 
 def _record_notes(run: RunFolder, placed: "LayoutEstimate") -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal, no_type_check
 from .. import spec as S
 from ..checks.signals import Allowance
 from ..errors import choices
+from ..spec.finish import finish
 from . import session as validate
 from .object_joints import After, ObjectJoints
 from .part import Geom, Joint, Part, Point2, Vec3
@@ -261,7 +262,7 @@ class Object(Furniture):
             rgb: red, green and blue, each from 0 to 1.
             alpha: opacity from 0 to 1.
             pattern: "plain", "grain", "boards", "tiles", "bricks", "veins", "speckles", "weave",
-                "brushed" or "checker".
+                "brushed" or "checker"; by default that of the substance in the name, if it has one.
             rgb2: color of the pattern's joints, veins, speckles, gaps or other fields.
             step: scale of the pattern [m]: the width of a board, the edge of a tile, the height of
                 a brick, the spacing of veins, and so on.
@@ -290,6 +291,9 @@ class Object(Furniture):
             a = 1.0 if base is None or base == MATERIALS.get(base.name) else a
         a = a if alpha is None else validate.number(alpha, f"{context}: alpha")
         fields["rgba"] = (r, g, b, a)
+        if pattern is None and (rgb2 is not None or step is not None):
+            usual = finish(validate.build_spec(S.Material, context, **fields)).pattern
+            pattern = None if usual is None else usual.kind
         fields |= stated_finish(pattern, rgb2, step, along, metallic, roughness, context)
         self._materials[name] = validate.build_spec(S.Material, context, **fields)
         return name

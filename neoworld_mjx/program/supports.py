@@ -112,7 +112,7 @@ def stated_finish(
     }
     if kind is None:
         if rgb2 is not None or step is not None:
-            raise ValueError(f"{context}: rgb2 and step belong to a pattern=")
+            raise ValueError(f"{context}: rgb2 and step need a pattern=, as its name has none")
         return fields
     if kind not in PATTERN_KINDS:
         raise ValueError(f"{context}: pattern: {choices(str(kind), list(PATTERN_KINDS))}")

@@ -27,6 +27,9 @@ FORMAT = "neoworld-run/1"
 MAX_STEPS = 2000
 """Largest number of recorded steps and parts of steps; most parts are objects."""
 
+CAMERA_NOTE = "camera"
+"""Title of the note on a camera that differs from the response's, which summaries show."""
+
 _PACKAGES = (
     *("neoworld-mjx", "jax", "mujoco", "mujoco-mjx", "mujoco-warp", "warp-lang", "numpy", "scipy"),
     *("optax", "equinox", "trimesh", "usd-core", "yourdfpy", "anthropic", "pydantic"),

@@ -5,6 +5,7 @@ The bundled responses of an example stand in for the agent.
 
 import asyncio
 import json
+import logging
 import math
 import os
 import re
@@ -20,7 +21,8 @@ from PIL import Image
 pytest.importorskip("mcp")
 from mcp import Client, MCPError, StdioServerParameters
 
-from neoworld_mjx.commands.agent_edits import placement_of
+from neoworld_mjx.commands.agent_edits import fall_of_agreement, placement_of
+from neoworld_mjx.commands.agent_run import AgentRun, _Computation, _Session
 from neoworld_mjx.commands.agent_tools import TOOLS
 from neoworld_mjx.commands.mcp_command import MAX_PICTURES_BYTES, McpCommand, bounded, build_server
 from neoworld_mjx.errors import ConfigError, RunError, SpecError
@@ -235,7 +237,14 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             assert "is not a path" in await refused(coffee.call("export", **long))
             text, _ = await coffee.call("export", formats=["urdf"], out="robot/scene")
             assert "objects/cup/object.urdf" in text
-            assert "is not empty" in await refused(coffee.call("export", out="robot/scene"))
+            told = await refused(coffee.call("export", out="robot/scene"))
+            assert "is not empty" in told and "overwrite=true" in told and "--" not in told
+            text, _ = await coffee.call("export", out="robot/scene", overwrite=True)
+            told, listed = text.splitlines(), re.compile(r"[\w/.-]+\.\w+|and \d+ files? of meshes")
+            named = sum(bool(listed.fullmatch(row)) for row in told)
+            meshes = int(re.search(r"and (\d+) files? of meshes", text)[1])
+            assert re.match(rf"written: {named - 1 + meshes} files", text)
+            assert "--json" not in (await coffee.call("status"))[0]
             pose, _ = await coffee.call("edit", object="cup")
             x, y, yaw = place(pose)
             for change, message in (
@@ -281,6 +290,29 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
 
     asyncio.run(use())
     assert (folder / "robot" / "scene").is_dir()
+
+
+def test_requests_that_are_not_open_yet_are_one_state(tmp_path):
+    def progress(unanswered):
+        facts = {"step": "program", "unanswered": unanswered}
+        return logging.makeLogRecord({"levelno": logging.DEBUG, "facts": facts})
+
+    run = AgentRun(tmp_path)
+    (tmp_path / "p-scene").mkdir()
+    run._latest = _Computation(_Session(photo="p.png", out="p-scene"))
+    run._progress.emit(progress(2))
+    assert run.state() == "p-scene: prepares requests for you: call next_request()"
+    run._progress.emit(progress(0))
+    assert run.state().startswith("p-scene: computes: program")
+
+
+def test_an_edit_of_joints_says_why_the_agreement_falls():
+    def measured(value):
+        return {"box_iou": {"objects": {"cup": {"refined": value}}}}
+
+    assert fall_of_agreement(measured(0.99), measured(0.951), "cup") == "0.99 -> 0.95"
+    assert not fall_of_agreement(measured(0.99), measured(0.991), "cup")
+    assert not fall_of_agreement({}, measured(0.99), "cup")
 
 
 def test_every_tool_needs_a_run(tmp_path):

@@ -9,6 +9,7 @@ from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.errors import PhotoError
 from neoworld_mjx.estimate import align as align_module
 from neoworld_mjx.estimate.align import align, align_again, align_to_boxes
+from neoworld_mjx.estimate.result import camera_change
 from neoworld_mjx.spec import Sphere
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.pose import from_axis_angle
@@ -178,13 +179,15 @@ def test_a_misjudged_field_of_view_comes_back(degrees):
     assert result.fovy_deg == pytest.approx(off(result.scene) - degrees)
     assert max(desk.distances(wrong, scene).values()) > 150
     assert max(desk.distances(result.scene, scene).values()) < 80
-    ((which, _), *_) = result.notes(wrong)
-    assert which.startswith("a camera")
+    line = camera_change(wrong.camera, result.scene.camera, [result])
+    start, end = (math.degrees(s.camera.fovy) for s in (wrong, result.scene))
+    assert line.startswith(f"field of view {start:.1f} -> {end:.1f} degrees")
+    assert line.endswith("contours)") and "vertical edges" not in line.split("height")[0]
 
 
 def test_a_scene_that_is_right_hardly_moves(five, photo, unmoved):
     boxed = desk.boxed(five)
-    for scene, result in ((five, unmoved), (boxed, align(boxed, photo, CONTOURS))):
+    for result in (unmoved, align(boxed, photo, CONTOURS)):
         # All objects together are less certain along the view than to one another.
         assert max(desk.distances(result.scene, five).values()) < 5.0
         assert max(desk.distances(result.scene, five, common=False).values()) < 2.0
@@ -192,7 +195,7 @@ def test_a_scene_that_is_right_hardly_moves(five, photo, unmoved):
         assert max(desk.turns(result.scene, five).values()) < 0.5
         changes = result.pitch_deg, result.roll_deg, result.fovy_deg
         assert max(map(abs, changes)) < 0.2 and abs(result.height_m) < 0.005
-        assert list(result.notes(scene)) == []
+        assert list(result.notes()) == []
 
 
 def test_a_camera_that_is_not_aligned_stays(five, photo, with_boxes, aligned_with_boxes):
@@ -353,14 +356,14 @@ def test_scenes_without_a_camera_or_free_objects_are_returned(five, photo):
     empty = desk.on_desk()
     result = align(empty, photo)
     assert result.scene is empty and result.objects == {}
-    assert list(result.notes(empty)) == []
+    assert list(result.notes()) == []
 
 
 def test_an_object_that_moves_far_is_noted(five, photo):
     wrong = desk.displaced(desk.boxed(five), brick=(0.0, 56.0, 0.0, 0.0))
     result = align(wrong, photo, CONTOURS)
     assert desk.distances(result.scene, five)["brick"] < 5.0
-    ((which, reason),) = result.notes(wrong)
+    ((which, reason),) = result.notes()
     assert which == "brick far from its composed pose"
     assert "moved it by 5." in reason
 

@@ -144,7 +144,7 @@ def test_another_photograph_lowers_the_errors(five, wrong, aside):
     view = both.views["b.jpg"]
     # 40 degrees about the vertical are 34 between two lines of sight that look down.
     assert abs(view.turn_deg - 34) < 3 and view.objects == 5
-    assert "b.jpg is used for the layout" in dict(both.notes(wrong))
+    assert "b.jpg is used for the layout" in dict(both.notes())
     assert both.to_json()["views"]["b.jpg"]["camera"]["yaw"] == pytest.approx(view.camera.yaw)
     across = [np.mean([o.uncertainty.across for o in r.objects.values()]) for r in (alone, both)]
     assert across[1] < 0.9 * across[0]

@@ -49,6 +49,22 @@ def test_every_material_and_shape_is_listed():
             assert f"`{name}(" in GUIDE, name
 
 
+def test_the_second_colour_applies_to_the_usual_pattern_of_a_name():
+    text = """
+from neoworld_mjx.program.sdk import Object, box
+
+board = Object("board")
+body = board.part("body", material=board.material({name}, like="pine", rgb2=(0.4, 0.2, 0.1)))
+body.add(box((0.2, 0.3, 0.02)), by="bottom")
+"""
+    built = run(text.format(name='"warm_wood"'))
+    assert built.ok, built.signals
+    (material,) = (m for m in built.spec.materials if m.name == "warm_wood")
+    assert material.pattern.kind == "grain" and material.pattern.rgb == (0.4, 0.2, 0.1)
+    plain = run(text.format(name='"steel_sheet"'))
+    assert "need a pattern=" in " ".join(signal.message for signal in plain.signals)
+
+
 ROWS = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| `(\(.+?\))` \|$", GUIDE, re.MULTILINE)
 
 

@@ -122,6 +122,10 @@ def linearized_edges(
     return residual, jacobian / deviations[:, None]
 
 
+ESTIMATED, MEASURED = "estimated", "measured in the response"
+"""Source of a camera parameter that is not known, and of one that the response measured."""
+
+
 @dataclass(frozen=True)
 class CameraEstimate:
     """One parameter of the camera after the alignment."""
@@ -161,12 +165,12 @@ def camera_estimates(
             source = evidence.camera.source_of(parameter)
         else:
             from_photo = {
-                "measured in the response": name in measured,
+                MEASURED: name in measured,
                 "vertical edges": edges and name in ("pitch", "roll"),
                 "depth": metric and name != "fovy",
             }
             used = ", ".join(phrase for phrase, holds in from_photo.items() if holds)
-            source = f"estimated: {used}" if used else "estimated"
+            source = f"{ESTIMATED}: {used}" if used else ESTIMATED
         value = float(getattr(camera, name))
         estimates[name] = CameraEstimate(value, abs(unit) * deviation, source)
     return estimates
