@@ -125,6 +125,8 @@ def as_parsed(tree: SceneTree, objects: Mapping[str, ObjectSpec]) -> SceneSpec:
 def moved_tree(tree: SceneTree, before: SceneSpec, after: SceneSpec) -> SceneTree:
     """Return a tree with the camera of a scene, and its boxes moved and scaled as the objects.
 
+    Objects that the user placed stay, also if their support moved.
+
     Args:
         tree: the parse.
         before: its objects, see `as_parsed`.
@@ -142,7 +144,7 @@ def moved_tree(tree: SceneTree, before: SceneSpec, after: SceneSpec) -> SceneTre
             size=tuple((ratio * np.array(box.size)).tolist()),
             yaw=math.remainder(box.yaw + turn, 2 * math.pi),
         )
-        unmoved = node.parent is None and np.allclose(old.pos, new.pos)
+        unmoved = node.cues.kept or (node.parent is None and np.allclose(old.pos, new.pos))
         nodes.append(node if unmoved else node.model_copy(update={"box3d": moved}))
     return tree.model_copy(update={"camera": after.camera, "nodes": tuple(nodes)})
 

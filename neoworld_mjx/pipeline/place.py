@@ -79,6 +79,7 @@ def place(
         parsed = evidence.objects.marked(as_parsed(tree, objects))
         by_boxes = align_to_boxes(parsed, measured=tree.camera_measured, evidence=evidence)
         tree = moved_tree(tree, parsed, by_boxes.scene)
+        tree = evidence.objects.applied(tree, objects)
     composed = _composed(tree, objects, evidence, options, name)
     if evidence.photo is None or not options.align.enabled:
         seconds = time.perf_counter() - began
