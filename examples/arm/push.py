@@ -1,4 +1,4 @@
-"""An arm beside a scene, by MuJoCo alone: it pushes a drawer closed, in MuJoCo and in MJX.
+"""An arm next to a scene, by MuJoCo alone: it pushes a drawer closed, in MuJoCo and in MJX.
 
 In a folder with copies of arm.xml and world.xml:
 
@@ -63,4 +63,4 @@ if "--mjx" in sys.argv:
         mujoco.mj_step(model, data)
         there = step(world, there.replace(ctrl=jax.numpy.array(target)))
     apart = np.abs(np.array(there.qpos) - data.qpos).max()
-    print(f"after 50 steps MJX is {apart:.1e} beside MuJoCo")
+    print(f"after 50 steps MJX differs from MuJoCo by {apart:.1e}")

@@ -50,7 +50,7 @@ NOT_CONFIRMED = "the pixels do not confirm the place that its contour suggests"
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
 of the log scale. They were set on the development half of the benchmark scenes. `neoworld
-bench run coverage` counts the 90 % intervals that contain the true value."""
+bench run scenes` counts the 90 % intervals that contain the true value."""
 
 
 BOXES = AlignmentStage(8, COARSE_PX)
@@ -151,9 +151,8 @@ def align_to_boxes(
         # Depth states where an object is, but only near its place which of its pixels are its own.
         problem = problem.measured(unknowns_of, supports=True)
         x = problem.start()
-        known = Evidence(camera=given.camera)
-        problem = replace(problem, evidence=known, initial=x, prior=x)
-        solution = _solution(problem, None, {COARSE_PX: [None]}, (BOXES,))
+        problem = replace(problem, evidence=Evidence(camera=given.camera), mean=x)
+        solution = _solution(problem, x, None, {COARSE_PX: [None]}, (BOXES,))
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=_failure(error))
     fitted = solution.fitted
@@ -237,11 +236,11 @@ def _aligned(
     }
     colliders = SceneGeoms.of(scene) if o.contacts else None
     standing = None if colliders is None else Standing.of(unknowns, colliders)
-    prior = None if parsed is None else unknowns.values_of(parsed)
-    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence, prior=prior)
+    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
     try:
         problem = problem.measured(unknowns_of, supports=only is None)
-        solution = _solution(problem, photo, images, stages)
+        x, problem = problem.start(), replace(problem, mean=problem.prior_mean(parsed))
+        solution = _solution(problem, x, photo, images, stages)
         return replace(solution, views=solution.views | refused)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Alignment(scene, failure=_failure(error))
@@ -253,6 +252,7 @@ def _failure(error: Exception) -> str:
 
 def _solution(
     problem: AlignmentProblem,
+    x: Float[np.ndarray, " u"],
     photo: UInt8[np.ndarray, "row column 3"] | None,
     images: Mapping[int, Sequence[LabImage | None]],
     stages: Sequence[AlignmentStage],
@@ -263,7 +263,6 @@ def _solution(
     }
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
-    x, problem = problem.start(), replace(problem, mean=problem.prior_mean())
     misjudged = True
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if photo is not None and problem.uses_edges:

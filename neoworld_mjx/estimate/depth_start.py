@@ -22,6 +22,8 @@ FARTHEST_M, AGREEING = 0.5, 0.5
 LEVEL_M = 0.02
 """Height up to which the top of a support is the plane z = 0 [m]. The height of the camera, not the
 support, is then unknown."""
+LEAST_SCORE = 0.1
+"""Score above which a place counts as measured."""
 MIDDLE = 0.5
 """Share of the width and height of a 2D box whose middle is assumed to show the object."""
 
@@ -106,7 +108,7 @@ def place_by_depth(depth: SceneDepth, k: int) -> MeasuredPlace | None:
         k: index of the object.
 
     Returns:
-        The place; None if too few pixels of the object are measured.
+        The place; None if too few of its pixels are measured, or agree with no place.
     """
     unknowns, now = depth.unknowns, depth.now
     mesh = unknowns.mesh(now, k)
@@ -130,7 +132,7 @@ def place_by_depth(depth: SceneDepth, k: int) -> MeasuredPlace | None:
             candidates.append(filled)
     scores = [_score(depth, box, k, mesh, place) for place in candidates]
     best = int(np.argmax(scores))
-    return candidates[best] if len(candidates) > 1 and scores[best] > 0 else None
+    return candidates[best] if len(candidates) > 1 and scores[best] > LEAST_SCORE else None
 
 
 def _window(box: Float[np.ndarray, " 4"], shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -88,10 +88,6 @@ class AlignmentProblem:
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
     mean: Float[np.ndarray, " u"] | None = None
     """Mean of the prior; None for the composed scene."""
-    prior: Float[np.ndarray, " u"] | None = None
-    """Values of the unknowns in the parse; None for the composed scene."""
-    initial: Float[np.ndarray, " u"] | None = None
-    """Initial values of the unknowns; None to derive them from the evidence."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
     without_depth: frozenset[int] = frozenset()
@@ -107,28 +103,35 @@ class AlignmentProblem:
     def start(self) -> Float[np.ndarray, " u"]:
         """Return initial values: the composed scene, or every object at its measured place.
 
-        The plane of a support locates the camera first. Objects follow, parents first.
+        The plane of a support locates the camera first. Objects follow, parents first; those that
+        the depth image does not show keep their places before the camera.
         """
-        if self.initial is not None:
-            return self.initial
         if self.evidence.depth is None:
             return self.camera_start()
         first = self.depth_at(np.zeros(self.unknowns.size))
-        return self._with_objects(lambda k: place_by_depth(first, k))
+        seen = (lambda _: None) if self.plane is None else self._before_camera()
+        return self._with_objects(lambda k: place_by_depth(first, k) or seen(k))
 
-    def prior_mean(self) -> Float[np.ndarray, " u"]:
-        """Return the mean of the prior, which is the composed scene if no plane is measured.
+    def prior_mean(self, parsed: SceneSpec | None = None) -> Float[np.ndarray, " u"]:
+        """Return the mean of the prior: the parsed places, if the plane of no support is measured.
 
         A measured plane turns the camera. Objects then keep their composed horizontal places before
         it, on their supports: they were composed from the picture.
+
+        Args:
+            parsed: the objects at their parsed places; by default, those of the composed scene.
         """
-        if self.initial is not None and self.prior is not None:
-            return self.prior
         if self.plane is None:
-            return self.camera_start() if self.prior is None else self.prior
+            if parsed is None:
+                return self.camera_start()
+            return self.unknowns.values_of(parsed)
+        return self._with_objects(self._before_camera())
+
+    def _before_camera(self) -> Callable[[int], MeasuredPlace | None]:
+        """Return a function from objects to their composed places in the camera's frame."""
         now = self.unknowns.place(np.zeros((1, self.unknowns.size)))[0]
         seen = (now.pos - now.camera.position()) @ now.camera.axes()
-        return self._with_objects(lambda k: MeasuredPlace(seen[k], 1.0))
+        return lambda k: MeasuredPlace(seen[k], 1.0)
 
     def _with_objects(
         self, place_of: Callable[[int], MeasuredPlace | None]

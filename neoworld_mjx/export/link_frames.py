@@ -123,7 +123,7 @@ class _Shape:
 
     geom: str
     named: bool
-    """Whether the name of the geom or of its part matches `HANDLE`."""
+    """True if the name of the geom or of its part matches `HANDLE`."""
     low: NDArray
     high: NDArray
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 from neoworld_kernels.convex_pieces import ObjectPoses, dot, true_indices
 from neoworld_kernels.first_hits import (
     ConvexRows,
@@ -58,8 +58,6 @@ class Visible(eqx.Module):
     boxes: Float[Array, "pop object 4"]
     """Boxes of the visible parts, relative to the image center [px]. The box of an invisible object
     has zero area."""
-    unoccluded_sides: Bool[Array, "pop object 4"]
-    """True for sides at which the object itself ends: neither occluded nor cut by the border."""
     outlines: Outlines
 
 
@@ -181,12 +179,8 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
     grid = jnp.asarray(_grid())
     scored_indices, scored_count = true_indices(jnp.asarray(scene.photo.scored))
     pop = poses.scale.shape[0]
-    initial = (
-        jnp.zeros((scene.count, 4, pop)),
-        jnp.zeros((scene.count, 4, pop), bool),
-    )
 
-    def observe(i: Array, result: tuple[Array, ...]) -> tuple[Array, ...]:
+    def observe(i: Array, result: Array) -> Array:
         k = scored_indices[i]
         window = jnp.clip(full[k], low, high)
         window = window.at[2:].set(jnp.maximum(window[2:], window[:2] + 1e-6))
@@ -239,12 +233,10 @@ def _visible_parts(scene: SceneArrays, poses: Poses, projected: Outlines) -> Vis
         any_visible = any_cell | jnp.any(tip_visible, axis=0)
         centre = jnp.tile(middle[k], (2, 1))
         box = jnp.where(any_visible & jnp.all(jnp.isfinite(box), axis=0), box, centre)
-        values = (box, ends_here & any_visible)
-        return tuple(a.at[k].set(b) for a, b in zip(result, values, strict=True))
+        return result.at[k].set(box)
 
-    boxes, sides = lax.fori_loop(0, scored_count, observe, initial)
-    population_first = lambda v: jnp.moveaxis(v, -1, 0)
-    return Visible(population_first(boxes) * focal, population_first(sides), projected)
+    boxes = lax.fori_loop(0, scored_count, observe, jnp.zeros((scene.count, 4, pop)))
+    return Visible(jnp.moveaxis(boxes, -1, 0) * focal, projected)
 
 
 def _least_inverse_depth(camera_scene: _CameraScene, count: int) -> Float[Array, "object pop"]:

@@ -175,7 +175,7 @@ def compare(
 def why_apart(
     spec: ObjectSpec, node: TreeNode, camera: Camera | None, window: Window | None
 ) -> str:
-    """Return why `compare` does not draw the object beside the crop; empty if it does."""
+    """Return why `compare` does not draw the object next to the crop; empty if it does."""
     if camera is None or window is None:
         return "the direction of the photo is unknown"
     _, points = _place(spec, node)

@@ -237,11 +237,11 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             assert "is not a path" in await refused(coffee.call("export", **long))
             text, _ = await coffee.call("export", formats=["urdf"], out="robot/scene")
             assert "objects/cup/object.urdf" in text
-            told = await refused(coffee.call("export", out="robot/scene"))
-            assert "is not empty" in told and "overwrite=true" in told and "--" not in told
+            refusal = await refused(coffee.call("export", out="robot/scene"))
+            assert "is not empty" in refusal and "overwrite=true" in refusal and "--" not in refusal
             text, _ = await coffee.call("export", out="robot/scene", overwrite=True)
-            told, listed = text.splitlines(), re.compile(r"[\w/.-]+\.\w+|and \d+ files? of meshes")
-            named = sum(bool(listed.fullmatch(row)) for row in told)
+            lines, listed = text.splitlines(), re.compile(r"[\w/.-]+\.\w+|and \d+ files? of meshes")
+            named = sum(bool(listed.fullmatch(row)) for row in lines)
             meshes = int(re.search(r"and (\d+) files? of meshes", text)[1])
             assert re.match(rf"written: {named - 1 + meshes} files", text)
             assert "--json" not in (await coffee.call("status"))[0]

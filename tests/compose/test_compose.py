@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.compose.compose import compose
+from neoworld_mjx.compose.compose import as_parsed, compose, moved_tree
 from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
 from neoworld_mjx.measure import scene_measure, unstable_objects
 from neoworld_mjx.physics.colliders import object_depths, start_state
@@ -92,6 +92,22 @@ def test_positions_and_headings_match_the_parse():
     assert pose.pos[2] == pytest.approx(1e-4, abs=1e-6)
     assert pose.quat == pytest.approx([math.cos(0.5), 0, 0, math.sin(0.5)])
     assert result.scene.object("cup").yaw == pytest.approx(0.6)  # the table's yaw is 0.4
+
+
+def test_a_tree_moves_with_its_objects_but_not_what_the_user_placed():
+    cup = scenes.cup()
+    free, kept = (node(name, cup, (x, 0.0, 0.0)) for name, x in (("free", 1.0), ("kept", 1.2)))
+    kept = kept.model_copy(update={"cues": kept.cues.model_copy(update={"kept": True})})
+    tree = SceneTree(camera=CAMERA, nodes=(ground(), free, kept))
+    before = as_parsed(tree, {"table": scenes.table(), "free": cup, "kept": cup})
+    shifted = [
+        item if item.parent is None else item.model_copy(update={"xy": (item.xy[0] + 0.05, 0.0)})
+        for item in before.objects
+    ]
+    after = moved_tree(tree, before, before.model_copy(update={"objects": tuple(shifted)}))
+    assert after.node("kept") == kept and after.node("table") == tree.node("table")
+    moved = np.subtract(after.node("free").box3d.position, free.box3d.position)
+    assert np.linalg.norm(moved[:2]) > 0.04
 
 
 @pytest.mark.parametrize("off", [-0.01, 0.0, 0.02])

@@ -219,13 +219,13 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
         "def many(obs):\n    return obs['joints'][:, None]\n"
     )
     small = ["--task", TASK, "--steps", 256, "--worlds", 8, "--samples", 0, "--engine", "native"]
-    told = neoworld("train", folder, *small, "--reward", f"{file}:still", "--json")
-    assert told.returncode == 0, told.stderr
-    assert json.loads(told.stdout)["last"]["reward"] == pytest.approx(7.0, abs=1e-3)
+    ended = neoworld("train", folder, *small, "--reward", f"{file}:still", "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["last"]["reward"] == pytest.approx(7.0, abs=1e-3)
     assert read_policy(folder / "policy" / "policy.npz").about.reward == "still"
     # A policy and a checkpoint have its name, which nothing imports.
-    told = neoworld("train", folder, *small, "--resume")
-    assert told.returncode == 2 and "another task, robot, reward or settings" in told.stderr
+    ended = neoworld("train", folder, *small, "--resume")
+    assert ended.returncode == 2 and "another task, robot, reward or settings" in ended.stderr
     for name, message in {
         f"{file}:eager": "reward eager: JAX cannot trace it (ConcretizationTypeError",
         f"{file}:many": "reward many: returns shape (1, 1), not one number",
@@ -310,18 +310,18 @@ def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
     file = tmp_path / "scene.json"
     file.write_text(scene.to_json())
     small = ["--steps", 2, "--worlds", 8, "--samples", 0, "--engine", "native", "--horizon", 5]
-    told = neoworld("train", file, "--task", TASK, *small, "--json")
-    assert told.returncode == 0 and json.loads(told.stdout)["steps"] == 8 * 32
+    ended = neoworld("train", file, "--task", TASK, *small, "--json")
+    assert ended.returncode == 0 and json.loads(ended.stdout)["steps"] == 8 * 32
     policy = tmp_path / "policy" / "policy.npz"
     whole = read_policy(policy).observation_size
-    told = neoworld("evaluate", policy, file, "--samples", 0, "--json")
-    assert told.returncode == 0 and json.loads(told.stdout)["n"] == 1
-    told = neoworld("train", file, "--task", TASK)
-    assert told.returncode == 2 and "has a policy: pass --resume" in told.stderr
+    ended = neoworld("evaluate", policy, file, "--samples", 0, "--json")
+    assert ended.returncode == 0 and json.loads(ended.stdout)["n"] == 1
+    ended = neoworld("train", file, "--task", TASK)
+    assert ended.returncode == 2 and "has a policy: pass --resume" in ended.stderr
     other = [*small, "--without", "block", "--colliders", "coarse", "--out", tmp_path / "other"]
     other += ["--delay-steps", 1]
-    told = neoworld("train", file, "--task", TASK, *other)
-    assert told.returncode == 0
+    ended = neoworld("train", file, "--task", TASK, *other)
+    assert ended.returncode == 0
     alone = read_policy(tmp_path / "other" / "policy.npz")
     assert alone.about.setting.delay_steps == 1
     assert alone.about.setting.without == ("block",) and alone.observation_size == whole

@@ -121,6 +121,19 @@ def test_a_box_that_is_far_off_keeps_its_pull(five):
     assert after["can"] < 40 and max(after.values()) < 40
 
 
+def test_the_prior_is_about_the_parsed_places(five, photo):
+    """Without evidence of the pixels, an object returns to where the parse has it."""
+    parsed = desk.displaced(five, can=(20.0, -10.0, 5.0, 3.0))
+    unknowns = desk.unknowns_of(five)
+    again = unknowns.scene_at(unknowns.values_of(parsed))
+    assert max(desk.distances(again, parsed).values()) < 0.5
+    nothing = AlignOptions(contours=False, edges=False, contacts=False, camera=False)
+    bare = tuple(item.model_copy(update={"box2d": None}) for item in five.objects)
+    without = five.model_copy(update={"objects": bare})
+    aligned = align(without, photo, nothing, parsed=parsed).scene
+    assert max(desk.distances(aligned, parsed).values()) < 0.5
+
+
 def test_displaced_objects_come_back(five, displaced, aligned):
     wrong, result = displaced, aligned
     before = desk.distances(wrong, five)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import AlignOptions
-from neoworld_mjx.estimate.align import align, align_again
+from neoworld_mjx.estimate.align import align, align_again, align_to_boxes
 from neoworld_mjx.estimate.depth_start import place_by_depth, support_plane, with_measured_supports
 from neoworld_mjx.estimate.rows.depth import MeasuredDepth, SceneDepth, measured_depth
 from neoworld_mjx.estimate.unknowns import STEP, Unknowns
@@ -118,6 +118,19 @@ def test_objects_come_to_their_measured_places(five, photo, wrong):
     outcome = aligned.objects["box"].depth
     assert outcome.after_m < 0.004 < outcome.before_m and not outcome.refused
     assert abs(outcome.rise_m) < 0.003
+
+
+def test_places_by_depth_begin_the_estimate_by_boxes(five, wrong):
+    """Boxes alone leave the distance of objects open that are too far and too large."""
+    boxed = desk.boxed(five)
+    far = [
+        item.model_copy(update={"box2d": boxed.object(item.name).box2d}) for item in wrong.objects
+    ]
+    scene = wrong.model_copy(update={"objects": tuple(far)})
+    alone = desk.distances(align_to_boxes(scene).scene, five)
+    given = Evidence(camera=KNOWN, depth=DepthImage(noisy(five)))
+    measured = desk.distances(align_to_boxes(scene, evidence=given).scene, five)
+    assert np.mean([*measured.values()]) < 10 < np.mean([*alone.values()])
 
 
 def test_depth_narrows_the_uncertainty(five, photo, wrong):

@@ -105,3 +105,13 @@ def test_an_object_composed_beside_the_edge_of_its_post_is_aligned_over_it():
     offset = at["top"].pos[:2] - at["post"].pos[:2]
     assert np.abs(offset).max() < POST / 2
     assert np.linalg.norm(at["post"].pos[:2] - post[:2]) < 0.05
+
+
+@pytest.mark.parametrize(("width", "stays"), [(0.06, True), (0.3, False)])
+def test_a_compact_object_stays_over_its_stated_support_from_a_parsed_place(width, stays):
+    """A long object that far from the middle of a post may rest on something else, too."""
+    scene = on_post(0.025 + 0.5 * width, width=width)
+    unknowns = desk.unknowns_of(scene)
+    colliders = SceneGeoms.of(scene)
+    assert (2, 1) not in Standing.of(unknowns, colliders).supports
+    assert ((2, 1) in Standing.of(unknowns, colliders, parsed=True).supports) == stays

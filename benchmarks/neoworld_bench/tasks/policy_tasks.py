@@ -66,7 +66,7 @@ def policy_task(task: ManipulationTask, scene: SceneSpec, plan: TaskPlan, goal: 
 
 @dataclass(frozen=True)
 class Effector:
-    """What performs a task: a flying gripper, or a robot on its mount."""
+    """Effector of a task: a flying gripper, or a robot on its mount."""
 
     gripper: Gripper | None = None
     robot: str | None = None

@@ -1,1 +1,1 @@
-"""What is computed from pixels: colors, line segments, and renderings of the scene."""
+"""Colors and line segments of photographs, and renderings of the scene."""
