@@ -131,8 +131,10 @@ def align_to_boxes(
     given = evidence or Evidence()
     depth = given.depth if given.depth is not None and given.depth.kind == "metric" else None
     known = Evidence(camera=given.camera, depth=depth, masks=given.masks)
-    # Boxes cannot tell a wrong field of view from wrong distances, nor show the roll.
-    unknowns_of = partial(Unknowns.of, camera=scene.camera, held=(ROLL, FOCAL))
+    # Boxes cannot tell a wrong field of view from wrong distances, nor show the roll, which the
+    # plane of a support does.
+    held = (FOCAL,) if depth is not None else (ROLL, FOCAL)
+    unknowns_of = partial(Unknowns.of, camera=scene.camera, held=held)
     unknowns = unknowns_of(scene)
     if not len(unknowns.free):
         return Alignment(scene)

@@ -133,6 +133,16 @@ def test_places_by_depth_begin_the_estimate_by_boxes(five, wrong):
     assert np.mean([*measured.values()]) < 10 < np.mean([*alone.values()])
 
 
+def test_boxes_use_the_roll_of_the_plane(five):
+    """A response said 10 degrees of roll; by its boxes, objects at the border then were lost."""
+    boxed = desk.boxed(five)
+    rolled = boxed.model_copy(update={"camera": desk.CAMERA.model_copy(update={"roll": 0.17})})
+    given = Evidence(camera=KNOWN, depth=DepthImage(noisy(five)))
+    aligned = align_to_boxes(rolled, evidence=given).scene
+    assert aligned.camera.roll == pytest.approx(desk.CAMERA.roll, abs=math.radians(0.5))
+    assert align_to_boxes(rolled).scene.camera.roll == 0.17
+
+
 def test_depth_narrows_the_uncertainty(five, photo, wrong):
     plain = align(wrong, photo, evidence=Evidence(camera=KNOWN))
     aligned = align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
