@@ -35,7 +35,7 @@ from .result import (
     ViewOutcome,
 )
 from .rows.contacts import SceneGeoms
-from .rows.edges import camera_estimates, edges_of_photo
+from .rows.edges import camera_estimates
 from .rows.standing import Standing
 from .solve import NormalEquations, Source
 from .unknowns import CAMERA, FOCAL, ROLL, Placement, Unknowns
@@ -269,7 +269,7 @@ def _solution(
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if photo is not None and problem.uses_edges:
             # Only edges that are almost vertical for the current camera count.
-            problem = replace(problem, edges=edges_of_photo(unknowns, x, photo))
+            problem = problem.with_edges(x, photo)
         for stage in of_width:
             problem = replace(problem, misjudged=misjudged or stage.open_focal)
             for _ in range(stage.steps):
@@ -351,6 +351,7 @@ def _result(
             measured=problem.measured_camera,
             edges=problem.edges is not None,
         ),
+        misleading_edges=problem.misleading_edges,
         views=_views(unknowns, now),
         fitted=FittedUnknowns(unknowns, x),
     )

@@ -10,7 +10,7 @@ photographs (61 objects). These values are upper bounds, because they include th
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +48,9 @@ did."""
 MEASURED = 0.5
 """Factor that multiplies the standard deviations of camera parameters that the response
 measured."""
+FALSE_EDGES = 0.15
+"""Share of photographs in which the edges that look vertical are not: one of the twelve with such
+edges."""
 LOG_STRETCH = 0.03
 """Standard deviation of the log stretch of a program's shape along an axis. The contours of a wrong
 shape contradict one another. Without these nuisance unknowns, the layout and the camera would
@@ -80,9 +83,9 @@ def camera_deviations(
         misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
-    deviations = np.array(
-        [PITCH, ROLL, LOG_FOCAL_MISJUDGED if misjudged else LOG_FOCAL, LOG_HEIGHT]
-    )
+    # A measured field of view is not misjudged: none of seven responses was.
+    focal = LOG_FOCAL_MISJUDGED if misjudged and "fovy" not in measured else LOG_FOCAL
+    deviations = np.array([PITCH, ROLL, focal, LOG_HEIGHT])
     deviations *= [MEASURED if name in measured else 1.0 for name in names]
     known_names = ("pitch", "roll", "focal", "height")
     pairs = zip(known_names, deviations.tolist(), strict=True)
@@ -105,6 +108,33 @@ def is_misjudged(log_focal: float, deviation: float) -> bool:
         variance = width**2 + deviation**2
         log_odds -= sign * (math.log(variance) + log_focal**2 / variance) / 2
     return log_odds > 0
+
+
+def edges_mislead(
+    residual: Float[np.ndarray, " n"],
+    jacobian: Float[np.ndarray, "n 4"],
+    deviations: Sequence[Float[np.ndarray, " 4"]],
+    spans: Float[np.ndarray, " n"],
+) -> bool:
+    """Return whether the edges of a photograph are more probably not vertical than vertical.
+
+    If they are vertical, the estimate by them differs from the camera by the errors of both. If
+    they are not, it is anywhere in the range in which edges are searched.
+
+    Args:
+        residual: estimate by the edges minus the prior camera, in standard deviations.
+        jacobian: its derivatives with respect to the unknowns of the camera.
+        deviations: prior standard deviations of the camera if the field of view is not misjudged,
+            and if it is.
+        spans: widths of the searched range, in standard deviations.
+    """
+    vertical = 0.0
+    for share, deviation in zip((1 - MISJUDGED, MISJUDGED), deviations, strict=True):
+        spread = np.eye(len(residual)) + jacobian * deviation**2 @ jacobian.T
+        squared = residual @ np.linalg.solve(spread, residual)
+        scale = math.sqrt(np.linalg.det(2 * math.pi * spread))
+        vertical += share * math.exp(-squared / 2) / scale
+    return FALSE_EDGES / float(np.prod(spans)) > (1 - FALSE_EDGES) * vertical
 
 
 def prior_precision(

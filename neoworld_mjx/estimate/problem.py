@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..evidence.evidence import Evidence
@@ -20,15 +20,15 @@ from .depth_start import (
     with_places_kept,
 )
 from .image.colors import LabImage, is_supported, overlap, shown_at
-from .image.lines import VerticalEdges
+from .image.lines import PITCH_RANGE, ROLL_RANGE, VerticalEdges
 from .image.rasterize import DrawnObjects
-from .prior import camera_deviations, prior_precision
+from .prior import camera_deviations, edges_mislead, prior_precision
 from .result import DepthOutcome
 from .rows.boxes import box_evidence
 from .rows.contacts import ContactGaps, SceneGeoms, contacts
 from .rows.contours import contour_evidence
 from .rows.depth import SceneDepth
-from .rows.edges import linearized_edges
+from .rows.edges import edge_deviations, edges_of_photo, linearized_edges
 from .rows.linear import LinearEvidence, combined
 from .rows.standing import Standing
 from .solve import NormalEquations, Source
@@ -86,6 +86,8 @@ class AlignmentProblem:
     """True if the field of view is or may be misjudged."""
     edges: VerticalEdges | None = None
     """Estimate of pitch and roll from vertical edges; None if there are no such edges."""
+    misleading_edges: bool = False
+    """True if there are edges that are probably not vertical, see `edges_mislead`."""
     mean: Float[np.ndarray, " u"] | None = None
     """Mean of the prior; None for the composed scene."""
     plane: SupportPlane | None = None
@@ -309,6 +311,23 @@ class AlignmentProblem:
             return {}
         names = [item.name for item in self.unknowns.scene.objects]
         return self.evidence.masks.at(names, *drawn.owner.shape)
+
+    def with_edges(
+        self, x: Float[np.ndarray, " u"], photo: UInt8[np.ndarray, "row column 3"]
+    ) -> "AlignmentProblem":
+        """Return the problem with the vertical edges of a photograph, found with the camera at `x`.
+
+        Without edges, and if they probably mislead, it has none.
+        """
+        edges = edges_of_photo(self.unknowns, x, photo)
+        if edges is None:
+            return replace(self, edges=None)
+        mean = np.zeros_like(x) if self.mean is None else self.mean
+        deviations = [replace(self, misjudged=m).camera_deviations() for m in (False, True)]
+        spans = 2 * np.array([PITCH_RANGE, ROLL_RANGE]) / edge_deviations(edges)
+        rows = linearized_edges(edges, self.unknowns, mean)
+        misled = edges_mislead(*rows, deviations, spans)
+        return replace(self, edges=None if misled else edges, misleading_edges=misled)
 
     def camera_deviations(self) -> Float[np.ndarray, " 4"]:
         """Return the prior standard deviations of the camera's unknowns."""

@@ -103,6 +103,8 @@ class Alignment:
     failure: str = ""
     """Reason why the alignment failed, in which case `scene` is the composed scene; empty if it did
     not fail."""
+    misleading_edges: bool = False
+    """True if edges that look vertical contradict the camera and are probably not vertical."""
     views: dict[str, ViewOutcome] = field(default_factory=dict)
     """Further photographs, by their names."""
     fitted: FittedUnknowns | None = field(default=None, repr=False, compare=False)
@@ -130,6 +132,8 @@ class Alignment:
                     f"{cause} moved it by {100 * distance:.1f} cm, scaled it by "
                     f"{change.size_ratio:.2f} and turned it by {degrees:+d} deg",
                 )
+        if self.misleading_edges:
+            yield "edges that look vertical are not used", "the camera contradicts them"
         for name, view in self.views.items():
             if not view.reason:
                 what = f"it shows {view.objects} objects from {view.turn_deg:.0f} deg aside"

@@ -95,6 +95,18 @@ def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, fo
     assert off(result) < 0.25 * off(plain)
 
 
+def test_edges_that_contradict_a_measured_camera_are_not_used(five, photo):
+    """The same edges correct a camera that a response only estimated."""
+    wrong = with_camera(five, fovy=math.radians(12.0))
+    measured = align(wrong, photo, measured=("pitch", "roll", "fovy"))
+    assert measured.misleading_edges
+    assert ("edges that look vertical are not used", "the camera contradicts them") in [
+        *measured.notes()
+    ]
+    assert not align(wrong, photo).misleading_edges
+    assert not align(five, photo, measured=("pitch", "roll", "fovy")).misleading_edges
+
+
 def test_a_photograph_without_edges_tells_nothing(five, photo):
     blank = np.full_like(photo, 128)
     assert edges_at_start(five, blank) is None

@@ -117,9 +117,14 @@ def linearized_edges(
     jacobian[0, TILT] = shorter / math.cos(camera.pitch) ** 2 / (1 + tangent**2)
     jacobian[0, FOCAL] = -tangent / (1 + tangent**2)
     jacobian[1, ROLL] = 1.0
-    deviations = np.array([max(edges.pitch_sd, LEAST_PITCH), max(edges.roll_sd, LEAST_ROLL)])
+    deviations = edge_deviations(edges)
     residual = (np.array([edges.pitch, edges.roll]) - expected) / deviations
     return residual, jacobian / deviations[:, None]
+
+
+def edge_deviations(edges: VerticalEdges) -> Float[np.ndarray, " 2"]:
+    """Return the standard deviations of pitch and roll of an estimate by vertical edges [rad]."""
+    return np.array([max(edges.pitch_sd, LEAST_PITCH), max(edges.roll_sd, LEAST_ROLL)])
 
 
 ESTIMATED, MEASURED = "estimated", "measured in the response"
