@@ -18,6 +18,8 @@ from scipy.optimize import linprog
 
 from ..errors import SpecError
 from ..physics.colliders import start_state
+from ..physics.placed import BALL_EXTENT
+from ..physics.sampling import sphere_directions
 from ..spec import (
     JointSpec,
     ObjectSpec,
@@ -26,6 +28,7 @@ from ..spec import (
     SceneSpec,
     SceneTree,
     TreeNode,
+    bounds,
     inertial,
     joint_position,
     link_poses,
@@ -52,11 +55,16 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
         tilt: parsed tilt, the rotation that is applied before the yaw.
 
     Returns:
-        The tilt, or None if there is no resting pose within 30 degrees.
+        The tilt, or None if there is no resting pose within 30 degrees. A ball may turn farther:
+        its tilt is not seen, but an almost round one rolls until it rests.
     """
     lowest = _lowest_points(spec, state)
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
+    size = np.subtract(*bounds(spec, state)[::-1])
+    ball = np.ptp(size) < BALL_EXTENT * size.max()
+    if ball:
+        down = min(sphere_directions(), key=lambda d: float((lowest(d) @ d).max()))
     best_height = float((lowest(down) @ down).max())
     known_points = np.vstack(
         [lowest(direction) for direction in (down, *_tilted_directions(down, step))]
@@ -70,7 +78,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
             down, best_height = direction, height
         else:
             step *= 0.85  # The new points have extended the linear model.
-        if down @ parsed < np.cos(MAX_TILT_RAD):
+        if not ball and down @ parsed < np.cos(MAX_TILT_RAD):
             return None
     return _rotate_tilt(tilt, down, parsed)
 

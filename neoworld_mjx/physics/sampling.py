@@ -197,7 +197,7 @@ def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
 
     An image box computed from these points is at most half a percent too small for a smooth object.
     """
-    return _farthest_points(item, _directions())
+    return _farthest_points(item, sphere_directions())
 
 
 def is_round(item: SceneObject) -> bool:
@@ -214,7 +214,8 @@ def is_round(item: SceneObject) -> bool:
 
 
 @functools.cache
-def _directions() -> NDArray:
+def sphere_directions() -> NDArray:
+    """Return evenly spread unit vectors, shape [n, 3]."""
     k = np.arange(HULL_DIRECTIONS) + 0.5
     z, turn = 1 - 2 * k / HULL_DIRECTIONS, np.pi * (1 + 5**0.5) * k
     r = np.sqrt(1 - z * z)

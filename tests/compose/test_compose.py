@@ -17,6 +17,7 @@ from neoworld_mjx.spec import (
     Camera,
     Capsule,
     Cylinder,
+    Ellipsoid,
     Lathe,
     Material,
     ObjectSpec,
@@ -316,6 +317,18 @@ def test_a_tilted_bottle_settles_flat(degrees):
     assert turned is not None
     assert rotate(turned, np.array([0.0, 0.0, 1.0]))[2] == pytest.approx(0.0, abs=1e-3)
     assert angle_between(turned, tilt) < math.radians(abs(degrees - 90) + 10)
+
+
+def test_an_almost_round_fruit_rests_where_it_is_seen():
+    """It turns onto its flattest side in place. Upright, it would roll there by a quarter turn."""
+    fruit = scenes.single("fruit", (Ellipsoid(radii=(0.0395, 0.039, 0.0395)), (0, 0, 0.0395)))
+    result = composed([node("fruit", fruit, (1.0, 0, 0))], {"fruit": fruit})
+    placed = result.scene.object("fruit")
+    short = rotate(np.array(placed.base_tilt), np.array([0.0, 1.0, 0.0]))
+    assert abs(short[2]) == pytest.approx(1.0, abs=1e-3)
+    middle = world_poses(result.scene)["fruit"].apply(np.array([[0.0, 0.0, 0.0395]]))[0]
+    assert middle[:2] == pytest.approx((1.0, 0.0), abs=1e-4)
+    assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
 
 
 @pytest.mark.parametrize("side", [0.035, 0.2])
