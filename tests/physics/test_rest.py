@@ -10,7 +10,6 @@ from neoworld_mjx.measure.scene_check import measures_of
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.physics.engine import RolloutStatus
 from neoworld_mjx.physics.layout import Layout
-from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import TILT_BOUND_LYING, settling_displacement
@@ -86,26 +85,6 @@ def test_settling_is_measured_in_units_of_its_bounds(settled):
     assert by["table"] == 0.0 and by["block"] < 0.05
     # The slab was placed tilted, but moves less in height than in angle.
     assert by["slab"] == pytest.approx(np.radians(3.4) / TILT_BOUND_LYING, rel=0.05)
-
-
-@pytest.mark.slow  # tests/physics/test_engines.py compares the engines, too.
-def test_native_and_mjx_settle_candidates_at_the_same_places():
-    model = compile_scene(overlapping(), samples=16)
-    xy = np.zeros((4, 3, 2), np.float32)
-    xy[:, 2, 1] = [0.0, 0.002, 0.004, 0.03]
-    layouts = Layout(xy, np.zeros((4, 3), np.float32), np.zeros((4, 3), np.float32))
-    start = jax.tree.map(np.array, model.place(layouts))
-    start.pos[3, 1, 2] += 0.05  # one falls on the table
-    ours, theirs = (
-        settle(model, start, engine, OPTIONS) for engine in (NativeEngine(), MjxEngine())
-    )
-    way = np.linalg.norm(ours.pos - start.pos, axis=-1)
-    assert way[:3, 1:].max() > 0.003 and way[3, 1] > 0.04
-    assert np.linalg.norm(ours.pos - theirs.pos, axis=-1).max() < 1e-3
-    cosine = np.abs(np.sum(ours.quat * theirs.quat, axis=-1))
-    turned = np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))).max(axis=1)
-    # The engines find other contact points in a deep overlap, which turn the blocks differently.
-    assert turned[2:].max() < 0.5 and turned.max() < 1.5
 
 
 def test_overlapping_blocks_come_apart_and_keep_their_headings():
