@@ -27,7 +27,7 @@ from jaxtyping import AbstractArray, jaxtyped
 PACKAGES = ("neoworld_mjx", "neoworld_kernels", "neoworld_bench")
 SETTINGS = BeartypeConf(is_pep484_tower=True)
 """An int is valid where a float is annotated, as type checkers have it."""
-CALLS = 100
+CALLS = 20
 """Number of calls of each function that are checked in each test."""
 
 
