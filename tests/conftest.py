@@ -20,7 +20,7 @@ import pytest
 # small products took a fifth of the time of the tests of the fit.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from tests.support.type_checks import check_annotations, keep_code
+from tests.support.type_checks import check_anew, check_annotations, keep_code
 
 check_annotations()
 
@@ -93,6 +93,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
+
+
+def pytest_runtest_setup() -> None:
+    check_anew()
 
 
 @pytest.fixture(autouse=True)

@@ -120,7 +120,7 @@ def test_the_readme_gives_the_command_that_ci_runs():
     assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").rstrip().endswith(f'{command} "$@"')
 
 
-def test_annotations_are_checked_at_every_call():
+def test_annotations_are_checked_in_every_test():
     import jax.numpy as jnp
     import numpy as np
     from beartype.roar import BeartypeCallHintViolation

@@ -132,16 +132,19 @@ def test_the_run_folder_contains_the_documented_files(example_run):
 
 
 def test_another_process_gives_the_same_bytes(tmp_path, photo, example_run):
+    """From the composition on; `test_faults` compares what two processes make before it."""
     out, _ = example_run
-    reconstruct(photo, tmp_path)
+    again = shutil.copytree(out, tmp_path / "run")
+    reconstruct(photo, again, start="compose")
     files = [
-        path.relative_to(tmp_path)
-        for path in sorted(tmp_path.rglob("*"))
+        path.relative_to(again)
+        for path in sorted(again.rglob("*"))
         if path.is_file() and path.name not in ("run.json", "report.html", "run.log", ".lock")
     ]
     assert len(files) > 30
+    assert (again / "scene.json").stat().st_mtime_ns != (out / "scene.json").stat().st_mtime_ns
     for path in files:
-        assert (tmp_path / path).read_bytes() == (out / path).read_bytes(), path
+        assert (again / path).read_bytes() == (out / path).read_bytes(), path
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ door = cabinet.part("door", material="oak")
 door.add(box((0.01, 0.5, 0.4)), at=(0.206, 0, 0.6))
 cabinet.revolute("hinge", body, door, at=(0.21, {side}, 0.6), axis={axis}, range=(0, 1.5))
 """
-RIGHT, WRONG = {"side": 0.25, "axis": (0, 0, -1)}, {"side": -0.25, "axis": (0, 0, 1)}
+RIGHT = {"side": 0.25, "axis": (0, 0, -1)}
 LINK = (
     '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
     ' iyz="0"/></inertial>{1}</link>'

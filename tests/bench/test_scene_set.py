@@ -7,8 +7,6 @@ import pytest
 from neoworld_bench.dataset.declaration import Room, declarations
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
-from neoworld_bench.fidelity.rendered_responses import exact_response
-from neoworld_bench.fidelity.rendered_scenes import see
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
 from neoworld_bench.methods.method_runs import RunSettings
 from neoworld_bench.methods.scene_methods import (
@@ -23,7 +21,6 @@ from neoworld_bench.noise.initial_scenes import noise_number
 from neoworld_bench.rows import ROWS, RowStore
 from neoworld_bench.tables.scene_figures import scene_summary
 
-from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.config import (
     RefineOptions,
     list_options,
@@ -31,15 +28,7 @@ from neoworld_mjx.config import (
     option_values,
 )
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import (
-    Box,
-    GeomSpec,
-    JointSpec,
-    Material,
-    ObjectSpec,
-    PartSpec,
-    bounds,
-)
+from neoworld_mjx.spec import bounds
 from neoworld_mjx.spec.pose import from_axis_angle, from_yaw, pose, quat_mul
 from tests.support.scenes import changed
 
@@ -64,19 +53,6 @@ def test_thirty_scenes_of_every_room():
 )
 def test_ground_truth_passes_the_final_check(name: str):
     assert failures(truth_scene(declarations()[name])) == []
-
-
-def test_exact_response_composes_to_the_ground_truth():
-    # An open drawer with an object inside: the response contains joints and parents, too.
-    scene = see(truth_scene(declarations()["desk_drawers"]))
-    shapes = {item.name: item.spec for item in scene.objects}
-    composed = compose(exact_response(scene), shapes).scene
-    errors = layout_errors(composed, scene)
-    assert max(errors["xy_error_m"], errors["scale_error"]) < 1e-3
-    assert errors["yaw_error_deg"] < 0.1
-    assert composed.object("chest").joint_state["drawer_2_slide"] == pytest.approx(
-        scene.object("chest").joint_state["drawer_2_slide"], abs=1e-6
-    )
 
 
 def test_each_error_affects_its_own_figure():
@@ -123,31 +99,6 @@ def test_toppled_and_fallen_objects_are_displaced():
     assert tilt_deg(pencil, at(leans), at(pencil.base_tilt)) < 0.01
     further = quat_mul(from_axis_angle([0, 1, 0], math.radians(80.0)), pencil.base_tilt)
     assert tilt_deg(pencil, at(further), at(pencil.base_tilt)) > 15.0
-
-
-LEAN, UPRIGHT, LYING = (
-    tuple(from_axis_angle((1.0, 0.0, 0.0), math.radians(angle))) for angle in (30.0, 3.0, 90.0)
-)
-BAR, BRICK = Box(size=(0.01, 0.01, 0.17)), Box(size=(0.1, 0.06, 0.04))
-
-
-def drawer(gap: float) -> ObjectSpec:
-    """Return two walls and a board that slides between them, `gap` m away from either."""
-    shape = lambda name, size, y: GeomSpec(
-        name=name, shape=Box(size=size), pos=(0.0, y, 0.05), material="oak"
-    )
-    walls = tuple(shape(f"wall_{k}", (0.2, 0.01, 0.1), y) for k, y in enumerate((-0.105, 0.105)))
-    board = shape("plank", (0.18, 0.2 - 2 * gap, 0.05), 0.0)
-    slide = JointSpec(
-        name="slide", type="prismatic", parent="walls", child="board",
-        axis=(1.0, 0.0, 0.0), lower=0.0, upper=0.1,
-    )  # fmt: skip
-    return ObjectSpec(
-        name="drawer",
-        materials=(Material(name="oak", density=700.0),),
-        parts=(PartSpec(name="walls", geoms=walls), PartSpec(name="board", geoms=(board,))),
-        joints=(slide,),
-    )
 
 
 def test_algorithm_1_has_the_papers_value_of_every_option_of_the_search():

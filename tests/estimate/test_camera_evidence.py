@@ -87,7 +87,7 @@ def test_alignment_with_edges_corrects_the_roll(five, photo):
     assert abs(result.scene.camera.roll) < 0.6 * abs(plain.scene.camera.roll)
 
 
-@pytest.mark.parametrize("fovy_deg", [12.0, -10.0])
+@pytest.mark.parametrize("fovy_deg", [12.0, pytest.param(-10.0, marks=pytest.mark.slow)])
 def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, fovy_deg):
     wrong = with_camera(five, fovy=math.radians(fovy_deg))
     plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))

@@ -109,10 +109,20 @@ def test_rows_of_scale_and_shift_match_the_change_of_residuals(five, kind):
         assert rows.global_jacobian[:, column] == pytest.approx(-slope, rel=1e-4, abs=1e-6)
 
 
-def test_objects_come_to_their_measured_places(five, photo, wrong):
+@pytest.fixture(scope="module")
+def plain(wrong, photo):
+    """The alignment without the depth image."""
+    return align(wrong, photo, evidence=Evidence(camera=KNOWN))
+
+
+@pytest.fixture(scope="module")
+def aligned(five, wrong, photo):
+    """The alignment with a depth image of a sensor."""
+    return align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
+
+
+def test_objects_come_to_their_measured_places(five, plain, aligned):
     """Within 4 mm, where the photograph alone leaves them 20 mm too far."""
-    plain = align(wrong, photo, evidence=Evidence(camera=KNOWN))
-    aligned = align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
     assert max(desk.distances(aligned.scene, five).values()) < 4.0
     assert max(desk.distances(plain.scene, five).values()) > 15.0
     outcome = aligned.objects["box"].depth
@@ -143,9 +153,7 @@ def test_boxes_use_the_roll_of_the_plane(five):
     assert align_to_boxes(rolled).scene.camera.roll == 0.17
 
 
-def test_depth_narrows_the_uncertainty(five, photo, wrong):
-    plain = align(wrong, photo, evidence=Evidence(camera=KNOWN))
-    aligned = align(wrong, photo, evidence=Evidence(camera=KNOWN, depth=DepthImage(noisy(five))))
+def test_depth_narrows_the_uncertainty(plain, aligned):
     for name in DISPLACED:
         with_depth, without = (s.objects[name].uncertainty for s in (aligned, plain))
         assert with_depth.along < without.along / 2

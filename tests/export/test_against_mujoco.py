@@ -40,8 +40,6 @@ MJCF = {
     "classes and frames": "<frame pos='1 0 0' euler='0 0 45'><body name='a' childclass='c'>"
     "<freejoint/><geom/><frame euler='90 0 0'><body pos='0 0 .3'><joint/><geom mass='3'/></body>"
     "</frame></body></frame>",
-    "replicated": f"<replicate count='3' offset='.5 0 0'><body name='o'><freejoint/>{BOX}</body>"
-    "</replicate>",
     "markers": f"<body name='m' mocap='true'><geom size='.02' contype='0' conaffinity='0'/></body>"
     f"{FREE.format('b', '0 0 .1')}",
     "visual link that moves": f"<body name='s'>{BOX}<body name='k' pos='.15 0 0'>"
@@ -57,8 +55,6 @@ MJCF = {
     f"<joint axis='0 1 0' range='0 90'/>{BOX}<body name='knob' pos='0 0 .3'>"
     f"<joint name='lid_joint' axis='0 0 1' range='-45 45'/>{BOX}<body pos='0 0 .3'>{BOX}</body>"
     "</body></body></body>",
-    "clash with derived names": f"<body name='body_2'><freejoint/>{BOX}<body pos='0 0 .3'>"
-    f"<joint/>{BOX}</body><body name='body_3' pos='0 .3 0'>{BOX}</body></body>",
     "reference and spring": f"<body name='a'>{BOX}<body pos='.3 0 0'><joint axis='0 0 1' ref='20' "
     f"range='-10 50' stiffness='3' springref='10'/>{BOX}</body></body>",
     "colors": "<body name='a'><freejoint/><geom type='box' size='.1 .1 .1' material='red'/>"

@@ -14,7 +14,6 @@ from neoworld_mjx.io import bounded_by
 from neoworld_mjx.physics.decompose import Budget, _coacd, coacd_installed, convex_pieces, outward
 
 pytestmark = pytest.mark.skipif(not coacd_installed(), reason="CoACD is not installed")
-OUTER, INNER = 0.1, 0.085
 
 
 def _without(mesh: trimesh.Trimesh, *faces: int) -> trimesh.Trimesh:

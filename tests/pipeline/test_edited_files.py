@@ -17,7 +17,7 @@ HEIGHT, HIGHER = "H, R, WALL = 0.050", "H, R, WALL = 0.070"
 
 
 @pytest.fixture(scope="module")
-def edited(example_run, photo, tmp_path_factory):
+def edited(example_run, photo, tmp_path_factory, quick_config):
     """The example up to its composed scene, with a higher cup and a spoon moved by 6 cm."""
     run = shutil.copytree(example_run[0], tmp_path_factory.mktemp("edited") / "run")
     program = run / "objects" / "cup" / "program.py"
@@ -26,7 +26,7 @@ def edited(example_run, photo, tmp_path_factory):
     (spoon,) = [node for node in tree["nodes"] if node["name"] == "spoon"]
     spoon["box3d"]["position"][1] += 0.06
     (run / "tree.json").write_text(json.dumps(tree))
-    return reconstruct(photo, run, start="verify", until="compose")
+    return reconstruct(photo, run, quick_config, start="verify", until="compose")
 
 
 def edges(spec, state):

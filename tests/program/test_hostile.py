@@ -21,19 +21,13 @@ HOSTILE: dict[str, tuple[str, str]] = {
     "open_file": ("print(open('/etc/passwd').read())", "forbidden: line 1: .*programs have no"),
     "write_file": ("open('/tmp/hostile', 'w').write('x')", "forbidden: line 1"),
     "pathlib": ("from pathlib import Path\nprint(Path('/etc/passwd').read_text())", "forbidden"),
-    "listdir": ("import os\nprint(os.listdir('/'))", "forbidden: line 2"),
     "environ": ("import os\nprint(os.environ['HOME'])", "runtime: line 2: .*not supported"),
-    "system": ("import os\nos.system('id')", "runtime: line 2: .*no attribute 'system'"),
     "socket": ("import socket\nsocket.create_connection(('127.0.0.1', 80))", "import: line 1"),
-    "subprocess": ("import subprocess\nsubprocess.run(['id'])", "import: .*import only from"),
     "input": ("input('name? ')", "runtime: .*'input' is not defined"),
     # Imports and introspection.
     "import_host": ("import neoworld_mjx.config", "import: line 1"),
-    "import_host_inside": ("from neoworld_mjx.program import sandbox", "import: line 1"),
-    "import_ctypes": ("import ctypes\nctypes.string_at(0)", "import: line 1"),
     "dunder_import": ("__import__('os').system('id')", "'__import__' is not defined"),
     "subclasses": ("().__class__.__bases__[0].__subclasses__()", "no attribute '__class__'"),
-    "eval_hidden": ("eval('__imp' + 'ort__(\"os\").getcwd()')", "'__import__' is not defined"),
     "frames": ("import sys\nprint(sys._getframe(0))", "no attribute '_getframe'"),
     "private": (BODY + "print(getattr(p, '_owner'))", "no attribute '_owner'"),
     "globals_of_sdk": (BODY + "print(p.add.__globals__)", "runtime: line 4"),
@@ -56,8 +50,6 @@ HOSTILE: dict[str, tuple[str, str]] = {
     # Memory, recursion and output.
     "power": ("print(10 ** 10 ** 8)", "memory: line 1: .*holds too much at once"),
     "doubling": ("x = [0]\nwhile True:\n    x = x + x", "memory: line 3"),
-    "nested_list": ("x = []\nwhile True:\n    x = [x]", "memory"),
-    "big_range": ("sorted(range(10 ** 9))", "memory: line 1"),
     "recursion": ("def f(n):\n    return f(n + 1)\nf(0)", "recursion: line 2: .*write a loop"),
     "deep_parens": ("x = " + "(" * 5000 + "1" + ")" * 5000, "syntax: .*too deeply nested"),
     # The interpreter's and the worker's limits are reached at about the same time.
@@ -114,24 +106,16 @@ HOSTILE: dict[str, tuple[str, str]] = {
     "huge_integer": (BODY + "p.add(box((10 ** 5000, 1, 1)))", "got an integer of 16610 bits"),
     "far_away": (BODY + "p.add(box((1, 1, 1)), at=(1e300, 0, 0))", r"at must lie within \+-100"),
     "shared_list": (BODY + SHARED + "p.add(box((x, 1, 1)))", "box size must be a number"),
-    "shared_tuples": (
-        BODY + SHARED.replace("[", "(").replace("]", ",)") + "o.part(x)",
-        "part name must be a string, got",
-    ),
     "cyclic_list": (BODY + "x = [0, 0, 0]\nx[0] = x\np.add(box(x))", "must be a number"),
-    "long_name": (BODY + "o.part('x' * 10 ** 7)", "part name must start with a letter"),
     # Arguments of wrong types.
     "own_class": (BODY + "class S:\n    size = 1\np.add(S())", "needs a shape such as box"),
-    "function": (BODY + "p.add(lambda: 1)", "needs a shape such as box"),
     "foreign_part": (
         BODY + "q = Object('other').part('q')\no.fixed('f', p, q)",
         "child 'q' belongs to another object",
     ),
     "own_parent": (BODY + "o.fixed('f', p, p)", "parent and child are both 'body'"),
-    "markup_name": (BODY + "o.part('\"/><script>')", "part name must start with a letter"),
     "path_name": (SDK + "Object('../../etc/passwd')", "Object name must start with a letter"),
     "raise_exit": ("raise SystemExit(0)", "runtime"),
-    "keyboard": ("raise KeyboardInterrupt", "runtime: line 1: KeyboardInterrupt"),
 }
 """Programs, each with a pattern of the message that it ends in."""
 

@@ -20,7 +20,7 @@ def scene():
 @pytest.fixture(scope="module")
 def photo(scene):
     """The scene in light that is warmer and half as bright, with stripes across the desk."""
-    image = render(scene, scene.camera, width=480)
+    image = render(scene, scene.camera, width=480, supersample=1)
     light = linear(image.color / 255.0) * [0.6, 0.5, 0.4]
     stripes = (np.arange(480) // 40 % 2 == 0)[None, :] & (image.segmentation == 0)
     light[stripes] = [0.2, 0.02, 0.02]
@@ -42,7 +42,8 @@ def test_the_camera_has_the_exposure_and_white_balance_of_the_photograph(looks):
 
 def test_the_picture_is_like_the_photograph(scene, photo, looks):
     def difference(one) -> float:
-        return float(np.abs(render(one, one.camera, width=480).color - photo.astype(float)).mean())
+        seen = render(one, one.camera, width=480, supersample=1).color
+        return float(np.abs(seen - photo.astype(float)).mean())
 
     assert difference(looks) < 0.3 * difference(scene)
 
@@ -66,7 +67,7 @@ def test_what_a_simplified_object_does_not_cover_is_no_print_on_its_support(scen
     photo[bottom - 10 : bottom, left : left + 10] = white  # Of the ball, in its box.
     photo[440:460, 300:320] = white  # A sheet of paper that is not listed stays.
     whole = printed(scene, photo)
-    after = render(whole, whole.camera, width=640, shadows=False).color.astype(int)
+    after = render(whole, whole.camera, width=640, shadows=False, supersample=1).color.astype(int)
     assert after[450, 310].min() > 200
     assert after[bottom - 5, left + 5].max() < 150
     assert np.ptp(after[bottom - 5, left + 5]) < 15  # gray, as the desk

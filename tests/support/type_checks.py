@@ -1,9 +1,10 @@
-"""Annotations of our packages, checked at every call in tests: beartype for types, jaxtyping for
-shapes.
+"""Annotations of our packages, checked in tests: beartype for types, jaxtyping for shapes.
 
 jaxtyping's own hook (`--jaxtyping-packages`) checks each call twice and builds the checks of every
 function at import, which was half of the time of the suite. Here a function's checks are built at
-its first call, and only functions with shapes get jaxtyping's scope of named axes.
+its first call, and only functions with shapes get jaxtyping's scope of named axes. In every test
+the first `CALLS` calls of a function are checked: loops that turn a vector a hundred thousand times
+took a tenth of the time of the suite.
 """
 
 import ast
@@ -26,6 +27,12 @@ from jaxtyping import AbstractArray, jaxtyped
 PACKAGES = ("neoworld_mjx", "neoworld_kernels", "neoworld_bench")
 SETTINGS = BeartypeConf(is_pep484_tower=True)
 """An int is valid where a float is annotated, as type checkers have it."""
+CALLS = 20
+"""Number of calls of each function that are checked in each test."""
+
+
+class _Test:
+    number = 0
 
 
 def checked(item: Any) -> Any:
@@ -36,14 +43,20 @@ def checked(item: Any) -> Any:
         return item
     if not item.__annotations__:
         return item
-    checks: list[Callable[..., Any]] = []
+    checks, test, left = None, -1, 0
 
     @functools.wraps(item)
     def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal checks, test, left
         __tracebackhide__ = True
-        if not checks:
-            checks.append(_with_checks(item))
-        return checks[0](*args, **kwargs)
+        if test != _Test.number:
+            test, left = _Test.number, CALLS
+        if left == 0:
+            return item(*args, **kwargs)
+        left -= 1
+        if checks is None:
+            checks = _with_checks(item)
+        return checks(*args, **kwargs)
 
     return call
 
@@ -135,6 +148,11 @@ def check_annotations() -> None:
     early = sorted(name for name in sys.modules if name.partition(".")[0] in PACKAGES)
     assert not early, f"imported before their annotations could be checked: {early}"
     sys.meta_path.insert(0, _Finder)  # pyright: ignore[reportArgumentType]
+
+
+def check_anew() -> None:
+    """Count the calls of every function anew, for the next test."""
+    _Test.number += 1
 
 
 def keep_code(folder: Path) -> None:
