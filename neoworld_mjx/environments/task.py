@@ -82,16 +82,6 @@ class SceneTask:
     task: Task
     controlled: ControlledScene
 
-    @property
-    def instruction(self) -> str:
-        """The instruction."""
-        return self.task.instruction
-
-    @property
-    def horizon(self) -> int:
-        """Control steps of an episode."""
-        return self.task.horizon
-
     def success(self, state: SceneState) -> Any:
         """Return True if the goal holds."""
         return self.task.goal.holds(StateView(self.controlled, state))
@@ -105,11 +95,7 @@ class SceneTask:
     @cached_property
     def initial_state(self) -> SceneState:
         """State of the scene itself, in NumPy."""
-        model = self.controlled.model
-        data = mujoco.MjData(model)
-        data.qpos[:], data.ctrl[:] = self.controlled.initial_qpos, self.controlled.initial_ctrl
-        mujoco.mj_forward(model, data)
-        return scene_state(data)
+        return scene_state(self.controlled.initial_data())
 
     @cached_property
     def initial_distance(self) -> float:
@@ -117,7 +103,7 @@ class SceneTask:
         state = self.initial_state
         start = float(self.task.goal.distance(StateView(self.controlled, state)))
         if start <= 0 and bool(self.success(state)):
-            raise SpecError(f"task {self.instruction!r}: it is done from the start")
+            raise SpecError(f"task {self.task.instruction!r}: it is done from the start")
         return max(start, 1e-3)
 
     def reward(
@@ -212,7 +198,7 @@ class StateView:
     def held(self, name: str) -> Any:
         """Return True if the tool is in an object's box and the fingers are not open."""
         controlled = self.controlled
-        if controlled.arm is None and controlled.gripper is None:
+        if controlled.effector is None:
             return self.xp.zeros((), bool)
         pos, quat = self.pose(name)
         middle, half = _box(self._item(name))

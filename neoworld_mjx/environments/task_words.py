@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..errors import SpecError
 from ..mllm import Panel, Request
 from ..spec import SceneSpec
-from .controlled_scene import handles
+from .flying_gripper import handles
 from .task import (
     KINDS,
     Kind,

@@ -19,17 +19,16 @@ from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
-from .controlled_scene import ControlledScene, controlled_scene
-from .mjx_environment import MjxEnv
+from .controlled_scene import ControlledScene
+from .mjx_environment import MjxEnv, open_scene
 from .own_reward import Reward, reward_name
 from .policy import About, Policy, Setting
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
 from .samples import sample
 from .scripted_motion import arm_script
-from .simplified_scene import Colliders, scene_without
+from .simplified_scene import Colliders
 from .task import SceneTask
-from .task_words import task_of
 
 TIMESTEP_S = 0.004
 """Time step of physics in training. Evaluation halves it."""
@@ -74,9 +73,10 @@ def task_scene(
     Raises:
         SpecError: the scene has no such task or handle, or the robot is not installed.
     """
-    task = task_of(scene_without(scene, setting.without), setting.task)
-    controlled = controlled_scene(
-        task.scene,
+    _, task = open_scene(
+        scene,
+        setting.task,
+        without=setting.without,
         robot=setting.robot,
         mount=setting.mount,
         gripper=setting.gripper,
@@ -85,7 +85,8 @@ def task_scene(
         visual=visual,
         colliders=colliders,
     )
-    return task.on(controlled)
+    assert task is not None
+    return task
 
 
 def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants | None:

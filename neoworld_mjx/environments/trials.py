@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 
 from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
-from .mjx_environment import MjxEnv
+from .mjx_environment import EnvState, MjxEnv
 from .policy import Policy, Setting
-from .policy_environment import PolicyEnv, TaskState
+from .policy_environment import PolicyEnv
 from .randomization import Variants
 from .task import SceneTask
 from .training import scene_variants, task_scene
@@ -85,7 +85,7 @@ def evaluate(
     task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
     ends = last(episodes(task, policy.about.setting, variants)(policy))
-    lost = np.asarray(ends.env.done) > 0
+    lost = np.asarray(ends.done) > 0
     success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
     progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
     return Trials(success, progress, samples)
@@ -93,7 +93,7 @@ def evaluate(
 
 def episodes(
     task: SceneTask, setting: Setting, variants: Variants | None
-) -> Callable[[Policy], Iterator[TaskState]]:
+) -> Callable[[Policy], Iterator[EnvState]]:
     """Return a function that runs a policy once in each variant, or in the scene itself.
 
     It yields the first states of the episodes, and those after each action, and raises SpecError if
@@ -113,7 +113,7 @@ def episodes(
         start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
     step = jax.jit(jax.vmap(policy_env.step))
 
-    def states_of(policy: Policy) -> Iterator[TaskState]:
+    def states_of(policy: Policy) -> Iterator[EnvState]:
         check_fit(policy, start.obs.shape[-1], policy_env.action_size)
         states = start
         yield states
@@ -122,14 +122,14 @@ def episodes(
             action = policy.act(np.asarray(states.obs)).astype(np.float32)
             states = step(states, jnp.asarray(action))
             # A world that has diverged stays so.
-            done = jnp.maximum(states.env.done, before.env.done)
-            states = eqx.tree_at(lambda s: s.env.done, states, done)
+            done = jnp.maximum(states.done, before.done)
+            states = eqx.tree_at(lambda s: s.done, states, done)
             yield states
 
     return states_of
 
 
-def last(states: Iterator[TaskState]) -> TaskState:
+def last(states: Iterator[EnvState]) -> EnvState:
     """Return the states at the ends of episodes."""
     return deque(states, maxlen=1)[0]
 

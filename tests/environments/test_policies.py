@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.environments import ppo
-from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
@@ -153,17 +152,18 @@ def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
 
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
-    env = PolicyEnv(MjxEnv(task.controlled, task=task, engine="native", control_s=0.1), 10)
+    inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.1)
+    env = PolicyEnv(inner, 10)
     state = env.reset(jax.random.key(0))
     assert state.metrics["success"] == 0
     action = jnp.array([1.0, 0, 0, 0, 0, 0, -1.0])
     for _ in range(4):
         state = env.step(state, action)
-    tool = np.asarray(task.controlled.tool(scene_state(state.env.data))[0])
+    tool = np.asarray(task.controlled.tool(state.data)[0])
     start = np.array(task.controlled.gripper.pos)
     assert np.allclose(tool - start, [0.08, 0, 0], atol=0.01)
-    assert float(state.env.obs["gripper"][-1]) < 0.02
-    held = policy_action(task.controlled, scene_state(state.env.data), np.full(7, 9.0), np)
+    assert float(inner.controlled.observe(state.data, jnp)["gripper"][-1]) < 0.02
+    held = policy_action(task.controlled, state.data, np.full(7, 9.0), np)
     assert held[-1] == pytest.approx(0.12)
 
 
@@ -172,14 +172,14 @@ def test_each_episode_delays_actions_by_its_own_steps(scene):
     inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
     env = PolicyEnv(inner, 10, delay_steps=2)
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 16))
-    assert set(states.delay.tolist()) == {0, 1, 2}
+    assert set(states.info["delay"].tolist()) == {0, 1, 2}
     step, targets = jax.jit(jax.vmap(env.step)), []
     for k in range(5):
         action = jnp.zeros((16, 7)).at[:, 0].set(0.5 if k else 1.0).at[:, 6].set(1.0)
         states = step(states, action)
-        targets.append(states.env.data.ctrl[:, 0])
+        targets.append(states.data.ctrl[:, 0])
     done = [0.0, 0.0, 0.02, 0.03, 0.04, 0.05, 0.06]  # of the third step with a delay of 2 on
-    for delay, row in zip(states.delay.tolist(), np.transpose(targets), strict=True):
+    for delay, row in zip(states.info["delay"].tolist(), np.transpose(targets), strict=True):
         assert row == pytest.approx(done[2 - delay : 7 - delay], abs=1e-6)
 
 

@@ -10,13 +10,9 @@ import pytest
 import neoworld_mjx as nw
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene
-from neoworld_mjx.environments.engines import (
-    NativeSteps,
-    WarpSteps,
-    capacity,
-    initial_world,
-    open_steps,
-)
+from neoworld_mjx.environments.engines import NativeSteps, initial_world
+from neoworld_mjx.environments.mjx_engines import WarpSteps, capacity
+from neoworld_mjx.environments.mjx_environment import open_steps
 from neoworld_mjx.errors import EngineError, SpecError
 
 

@@ -93,7 +93,7 @@ def test_a_placed_object_must_rest_and_be_let_go(scene):
     xpos = there.xpos.copy()
     xpos[tool] = there.xpos[controlled.model.body("board").id]
     closed = there.qpos.copy()
-    closed[controlled.qpos_of_fingers] = 0.01
+    closed[controlled.effector.fingers] = 0.01
     held = there._replace(xpos=xpos, qpos=closed)
     assert not bool(on.success(held))
 

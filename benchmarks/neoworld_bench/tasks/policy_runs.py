@@ -244,7 +244,7 @@ class _Arena:
 
     def successes(self, policy: Policy) -> NDArray:
         """Return which draws a policy succeeds in."""
-        ends = last(self._states(policy)).env
+        ends = last(self._states(policy))
         qpos, qvel, ctrl = (np.asarray(getattr(ends.data, n)) for n in ("qpos", "qvel", "ctrl"))
         lost = np.asarray(ends.done) > 0
         with ThreadPoolExecutor() as threads:
