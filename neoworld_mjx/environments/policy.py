@@ -1,4 +1,7 @@
-"""A trained policy and its file: one .npz of arrays and a description, without pickled objects."""
+"""A trained policy and its file: one .npz of arrays and a description, without pickled objects.
+
+The file also holds the rest of the state of the optimization, so training resumes from it.
+"""
 
 import io
 from dataclasses import dataclass
@@ -55,6 +58,8 @@ class About(BaseModel):
     """Draws of the scene in training; 0 if there was only the scene itself."""
     reward: str = Field(default="", max_length=200)
     """Name of the user's reward; empty for that of the task. Nothing imports it."""
+    options: dict[str, int | float | tuple[int, ...]] = Field(default={}, max_length=50)
+    """Settings of the optimization."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,8 @@ class Policy:
     about: About
     actor: Actor
     normalizer: Normalizer
+    rest: tuple[NDArray, ...] = ()
+    """Other arrays of the state of the optimization, from which training resumes."""
 
     @property
     def observation_size(self) -> int:
@@ -81,6 +88,7 @@ class Policy:
             arrays |= {f"weight_{k}": layer.weight, f"bias_{k}": layer.bias}
         arrays |= {"log_std": self.actor.log_std}
         arrays |= self.normalizer._asdict()
+        arrays |= {f"rest_{k}": array for k, array in enumerate(self.rest)}
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
         write_output(path, buffer.getvalue(), SpecError)
@@ -102,11 +110,13 @@ def read_policy(path: Path | str) -> Policy:
         layers = tuple(Layer(arrays[f"weight_{k}"], arrays[f"bias_{k}"]) for k in range(count))
         actor = Actor(layers, arrays["log_std"])
         normalizer = Normalizer(arrays["seen"], arrays["mean"], arrays["squares"])
+        others = sum(name.startswith("rest_") for name in arrays)
+        rest = tuple(arrays[f"rest_{k}"] for k in range(others))
     except (KeyError, ValueError) as error:
         first = str(error).splitlines()[0]
         raise SpecError(f"{path}: it is not a policy file: {first}") from None
     _check(Path(path), actor, normalizer)
-    return Policy(about, actor, normalizer)
+    return Policy(about, actor, normalizer, rest)
 
 
 def _check(path: Path, actor: Actor, normalizer: Normalizer) -> None:

@@ -62,8 +62,7 @@ class Line:
 
 def optimized(env, updates, options):
     worlds, pool = ppo.open_worlds(env, options, jax.random.key(0))
-    learner = ppo.init(env, options, jax.random.key(1), 1)
-    learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
+    learner = ppo.init(env, options, jax.random.key(1), pool.obs)
     update = ppo.make_update(env, options)
     reports = []
     for _ in range(updates):
@@ -223,7 +222,7 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["last"]["reward"] == pytest.approx(7.0, abs=1e-3)
     assert read_policy(folder / "policy" / "policy.npz").about.reward == "still"
-    # A policy and a checkpoint have its name, which nothing imports.
+    # A policy has its name, which nothing imports.
     ended = neoworld("train", folder, *small, "--resume")
     assert ended.returncode == 2 and "another task, robot, reward or settings" in ended.stderr
     for name, message in {
