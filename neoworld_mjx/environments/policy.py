@@ -19,6 +19,8 @@ from ..io.files import write_output
 from .networks import Actor, Layer, Normalizer, mlp
 from .robots import Mount
 
+ACTION_S = 0.04
+"""Duration of an action [s]."""
 MAX_LAYERS, MAX_WIDTH = 16, 8192
 
 
@@ -34,7 +36,7 @@ class Setting(BaseModel):
     """Handle that a free-flying gripper faces, instead of a robot."""
     without: tuple[str, ...] = Field(default=(), max_length=500)
     """Objects that are left out."""
-    control_s: float = Field(default=0.04, gt=0, le=1)
+    control_s: float = Field(default=ACTION_S, gt=0, le=1)
     """Duration of an action [s]."""
     horizon: int = Field(default=125, gt=0, le=100_000)
     """Actions of an episode."""

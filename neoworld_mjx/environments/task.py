@@ -5,10 +5,9 @@ evaluates it on states of a `ControlledScene`, in NumPy or in JAX under `jit` an
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,8 +33,10 @@ from .predicates import (
     leaves,
 )
 
+CONTROL_S = 0.02
+"""Duration of a control step, unless an environment has another [s]."""
 HORIZON, PLACE_HORIZON = 250, 400
-"""Control steps of an episode at 50 Hz: 5 s, and 8 s where an object is carried and let go."""
+"""Control steps of an episode: 5 s, and 8 s where an object is carried and let go."""
 REACH, GRASP, PROGRESS, SUCCESS, EFFORT = 0.2, 0.2, 0.6, 1.0, 0.005
 """Weights of the reward's terms."""
 FAR_M, CLOSE_M = 0.3, 0.03
@@ -439,24 +440,3 @@ def every(*tasks: Task) -> Task:
     parts = [leaf for task in tasks for leaf in leaves(task.goal)]
     words = ", then ".join(task.instruction for task in tasks)
     return replace(tasks[0], goal=Every(of=tuple(parts)), instruction=words)
-
-
-Kind = Literal[
-    "reach", "open", "close", "press", "turn", "push", "lift", "place", "insert", "stack",
-    "topple", "upright",
-]  # fmt: skip
-KINDS: dict[Kind, Callable[..., Task]] = {
-    "reach": reach,
-    "open": open_joint,
-    "close": close_joint,
-    "press": press,
-    "turn": turn,
-    "push": push,
-    "lift": lift,
-    "place": place,
-    "insert": insert,
-    "stack": stack,
-    "topple": topple,
-    "upright": upright,
-}
-"""Makers of tasks by kind; each takes the scene and names in it."""

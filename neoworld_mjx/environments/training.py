@@ -11,9 +11,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import ValidationError
 
 from ..errors import SpecError
 from ..io.files import content_hash, write_output
+from ..io.text_files import validation_message
 from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
@@ -21,13 +23,16 @@ from . import ppo
 from .controlled_scene import ControlledScene
 from .mjx_environment import MjxEnv, open_scene
 from .own_reward import Reward, reward_name
-from .policy import About, Policy, Setting, read_policy
+from .policy import ACTION_S, About, Policy, Setting, read_policy
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
+from .reach import propose_mount
+from .robots import Mount
 from .samples import sample
 from .scripted_motion import arm_script
-from .simplified_scene import Colliders
-from .task import SceneTask
+from .simplified_scene import Colliders, scene_without
+from .task import CONTROL_S, SceneTask
+from .task_words import gripper_of, task_of
 
 TIMESTEP_S = 0.004
 """Time step of physics in training. Evaluation halves it."""
@@ -57,6 +62,49 @@ class Training:
     """Coarse ones are faster; see `with_coarse_colliders`. Evaluation takes the exact ones."""
     snapshots: tuple[float, ...] = ()
     """Shares of the training after which the policy is also written, as policy-SHARE.npz."""
+
+
+def propose_setting(
+    scene: SceneSpec,
+    task: str,
+    *,
+    robot: str | None = None,
+    mount: Mount | None = None,
+    without: tuple[str, ...] = (),
+    horizon: int | None = None,
+    delay_steps: int = 0,
+) -> Setting:
+    """Return a setting with a robot where it reaches the task, or a gripper at the task's handle.
+
+    Args:
+        scene: the scene.
+        task: the task as a sentence.
+        robot: a name or an MJCF file; if None, a gripper flies.
+        mount: where the robot stands, if that is known.
+        without: objects that are left out.
+        horizon: actions of an episode; if None, as long as those of the task.
+        delay_steps: largest delay of actions [control steps].
+
+    Raises:
+        SpecError: the scene has no such task, the robot reaches it from no place, the task has no
+            handle for a gripper, or a number is not within its bounds.
+    """
+    if mount is not None and robot is None:
+        raise SpecError("a mount is that of a robot: name the robot, too")
+    named, gripper = task_of(scene_without(scene, without), task), None
+    if robot is None:
+        gripper = gripper_of(named)
+    elif mount is None:
+        mount = propose_mount(named, robot)
+    if horizon is None:
+        horizon = round(named.horizon * CONTROL_S / ACTION_S)
+    try:
+        return Setting(
+            task=task, robot=robot, mount=mount, gripper=gripper, without=without, horizon=horizon,
+            delay_steps=delay_steps,
+        )  # fmt: skip
+    except ValidationError as error:
+        raise SpecError(validation_message(error, Setting)) from None
 
 
 def task_scene(
