@@ -127,7 +127,7 @@ def init(env: Trainable, options: PpoOptions, key: Array, obs: Array) -> Learner
     obs_size = obs.shape[-1]
     actor = init_layers(a, (obs_size, *options.actor, env.action_size), 0.01)
     networks = Networks(
-        Actor(actor, jnp.full(env.action_size, options.log_std)),
+        Actor(actor, jnp.full(env.action_size, options.log_std, jnp.float32)),
         init_layers(b, (obs_size, *options.critic, 1), 1.0),
     )
     zero = jnp.zeros(obs_size)
@@ -140,7 +140,9 @@ def open_worlds(env: Trainable, options: PpoOptions, key: Array) -> tuple[Episod
     a, b = jax.random.split(key)
     pool = jax.jit(jax.vmap(env.reset))(jax.random.split(a, options.worlds))
     age = jax.random.randint(b, (options.worlds,), 0, env.horizon)
-    return Episodes(jax.tree.map(jnp.copy, pool), age, jnp.zeros(options.worlds)), pool
+    # An update donates the worlds, but not the pool.
+    states = jax.jit(lambda kept: jax.tree.map(jnp.copy, kept))(pool)
+    return Episodes(states, age, jnp.zeros(options.worlds)), pool
 
 
 Update = Callable[[Learner, Episodes, Any], tuple[Learner, Episodes, dict[str, Array]]]

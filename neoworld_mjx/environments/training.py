@@ -5,6 +5,7 @@ import io
 import json
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,6 @@ TIMESTEP_S = 0.004
 WRITE_S, REPORT_S = 60.0, 10.0
 """Intervals of writing the policy and of reporting progress [s]."""
 POLICY, CURVE, PICTURE = "policy.npz", "curve.jsonl", "curve.png"
-SAME = ("setting", "reward", "options")
-"""What must be the same for a training to resume."""
 WORLDS = {"native": 64, "warp": 2048, "mjx": 256}
 """Default number of worlds by engine."""
 
@@ -218,12 +217,14 @@ def train_task(
         resume: as for `train`.
     """
     t = training or Training()
+    engine = t.engine or open_engine().name
+    o = options or default_options(engine)
+    if t.steps < 1 or o.worlds < 1:
+        raise SpecError(f"training: steps ({t.steps}) and worlds ({o.worlds}) must be positive")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SpecError(f"cannot write to {out}: {error.strerror}") from None
-    engine = t.engine or open_engine().name
-    o = options or default_options(engine)
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(
         task.controlled,
@@ -246,7 +247,7 @@ def train_task(
     )
     a, b = jax.random.split(jax.random.key(t.seed))
     worlds, pool = ppo.open_worlds(policy_env, o, a)
-    learner = ppo.init(policy_env, o, b, pool.obs)
+    learner = jax.jit(partial(ppo.init, policy_env, o))(b, pool.obs)
     curve: list[dict[str, float]] = []
     if resume:
         learner, curve = _resumed(out, learner, about)
@@ -323,16 +324,21 @@ def _resumed(
     """Return the learner and the curve of the training of a policy, like a fresh learner."""
     path = out / POLICY
     policy = read_policy(path)
-    own = policy.actor, policy.normalizer, *policy.rest
-    like = fresh.networks.actor, fresh.normalizer, _rest(fresh)
-    leaves, tree = jax.tree.flatten(like)
-    given = jax.tree.leaves(own)
+    was, now = (
+        {**a.setting.model_dump(), "reward": a.reward, **a.options} for a in (policy.about, about)
+    )
+    other = [
+        f"{name} is {was.get(name)!r}, not {value!r}"
+        for name, value in now.items()
+        if was.get(name) != value
+    ]
+    leaves, tree = jax.tree.flatten((fresh.networks.actor, fresh.normalizer, _rest(fresh)))
+    given = jax.tree.leaves((policy.actor, policy.normalizer, policy.rest))
     describe = lambda arrays: [(a.shape, a.dtype) for a in arrays]
-    same = all(getattr(policy.about, n) == getattr(about, n) for n in SAME)
-    if not same or describe(given) != describe(leaves):
-        raise SpecError(
-            f"{path} is of another task, robot, reward or settings: train into another folder"
-        )
+    if not other and describe(given) != describe(leaves):
+        other = ["the sizes of observations or networks are others"]
+    if other:
+        raise SpecError(f"{path} is of another training, in which {'; '.join(other)}")
     actor, normalizer, (critic, optimizer, key, steps) = jax.tree.unflatten(
         tree, [jnp.asarray(leaf) for leaf in given]
     )

@@ -68,6 +68,7 @@ def optimized(env, updates, options):
     for _ in range(updates):
         learner, worlds, report = update(learner, worlds, pool)
         reports.append({k: float(v) for k, v in report.items()})
+    assert update._cache_size() == 1  # compiled once
     return learner, reports
 
 
@@ -201,8 +202,10 @@ def test_training_writes_a_policy_and_resumes(scene, trained):
     assert [row["steps"] for row in rows] == [64, 128, 192, 256]
     assert resumed.about.steps == 256
     other = setting.model_copy(update={"horizon": 30})
-    with pytest.raises(SpecError, match="another task, robot, reward or settings"):
+    with pytest.raises(SpecError, match=r"another training, in which horizon is 20, not 30$"):
         train(scene, other, out, training=more, options=SMALL, resume=True)
+    with pytest.raises(SpecError, match=r"steps \(0\) and worlds \(8\) must be positive"):
+        train(scene, setting, out, training=Training(steps=0, samples=0), options=SMALL)
 
 
 def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
@@ -224,7 +227,7 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
     assert read_policy(folder / "policy" / "policy.npz").about.reward == "still"
     # A policy has its name, which nothing imports.
     ended = neoworld("train", folder, *small, "--resume")
-    assert ended.returncode == 2 and "another task, robot, reward or settings" in ended.stderr
+    assert ended.returncode == 2 and "in which reward is 'still', not ''" in ended.stderr
     for name, message in {
         f"{file}:eager": "reward eager: JAX cannot trace it (ConcretizationTypeError",
         f"{file}:many": "reward many: returns shape (1, 1), not one number",
