@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, get_args
 
 import mujoco
 import numpy as np
@@ -238,8 +238,9 @@ def controlled_scene(
     errors: dict[str, float] = {}
     if colliders == "coarse":
         spec, errors = with_coarse_colliders(spec)
-    elif colliders != "exact":
-        raise SpecError(f"colliders: {choices(colliders, ['exact', 'coarse'])}")
+    for name, value, valid in (("colliders", colliders, Colliders), ("control", control, Control)):
+        if value not in get_args(valid):
+            raise SpecError(f"{name}: {choices(value, get_args(valid))}")
     timestep = 0.004 if mjx else 0.002
     compiled = compile_scene(spec, timestep=timestep)
     for item in spec.objects:
