@@ -2,14 +2,13 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
@@ -110,19 +109,20 @@ def episodes(
         start = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:
         start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
-    step = jax.jit(jax.vmap(policy_env.step))
+
+    @jax.jit
+    def step(states: EnvState, action: Array) -> EnvState:
+        after = jax.vmap(policy_env.step)(states, action)
+        # A world that has diverged stays so.
+        return replace(after, done=jnp.maximum(after.done, states.done))
 
     def states_of(policy: Policy) -> Iterator[EnvState]:
         check_fit(policy, start.obs.shape[-1], policy_env.action_size)
         states = start
         yield states
         for _ in range(setting.horizon):
-            before = states
             action = policy.act(np.asarray(states.obs)).astype(np.float32)
             states = step(states, jnp.asarray(action))
-            # A world that has diverged stays so.
-            done = jnp.maximum(states.done, before.done)
-            states = eqx.tree_at(lambda s: s.done, states, done)
             yield states
 
     return states_of

@@ -33,8 +33,7 @@ def scene():
 
 def state_of(controlled, **values):
     """A state of a scene in which joints, or free bodies, have these coordinates."""
-    data = mujoco.MjData(controlled.model)
-    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
+    data = controlled.initial_data()
     for name, value in values.items():
         where = controlled.model.joint(name.replace("__", "-")).qposadr[0]
         size = np.size(value)
