@@ -35,13 +35,8 @@ except ImportError:
     ) from None
 
 Observation = dict[str, NDArray]
-"""Observations by name:
-
-- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
-- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
-- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m];
-- picture [height, width, 3], if images are requested.
-"""
+"""Observations by name, see `ControlledScene.observe`, and with `picture` the image of the
+photograph's camera, shape [height, width, 3]."""
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
@@ -51,7 +46,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
     diverges.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -68,6 +63,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self.model = copy.copy(controlled.model)
         self.data = mujoco.MjData(self.model)
         self.render_mode = "rgb_array"
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / control_s)}
         self._task = task
         reward = task.reward if reward is None and task is not None else reward
         self._reward = None if reward is None else with_four_arguments(reward)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError, choices
 from ..export.link_frames import frames
 from ..physics.mjcf import body_name
-from ..spec import SceneObject, SceneSpec, bounds, joint_position, world_poses
+from ..spec import JointSpec, SceneObject, SceneSpec, bounds, joint_position, world_poses
 from ..spec.pose import length, rotate
 from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
@@ -225,18 +225,25 @@ def _box(item: SceneObject) -> tuple[NDArray, NDArray]:
 # Makers
 
 
-def _joint(scene: SceneSpec, name: str) -> tuple[SceneObject, Any]:
+def movable_joints(scene: SceneSpec) -> list[tuple[SceneObject, JointSpec]]:
+    """Return the joints that tasks may move, with their objects."""
+    return [
+        (item, joint)
+        for item in scene.objects
+        for joint in item.spec.joints
+        if joint.type != "fixed" and joint.mimic is None
+    ]
+
+
+def _joint(scene: SceneSpec, name: str) -> tuple[SceneObject, JointSpec]:
     """Return the object and joint of a name: of the joint, of the part it moves, or of a handle."""
-    found = {}
-    for item in scene.objects:
-        for joint in item.spec.joints:
-            if joint.type == "fixed" or joint.mimic is not None:
-                continue
-            for own in (joint.child, f"{joint.child}_handle", joint.name):
-                found[f"{item.name}-{own}"] = item, joint
+    found, shown = {}, []
+    for item, joint in movable_joints(scene):
+        shown.append(f"{item.name}-{joint.child}")
+        for own in (joint.child, f"{joint.child}_handle", joint.name):
+            found[f"{item.name}-{own}"] = item, joint
     if name not in found:
-        shown = [f"{item.name}-{joint.child}" for item, joint in dict(found).values()]
-        raise SpecError(f"scene {scene.name}: joint: {choices(name, dict.fromkeys(shown))}")
+        raise SpecError(f"scene {scene.name}: joint: {choices(name, shown)}")
     return found[name]
 
 
@@ -247,7 +254,7 @@ def _object(scene: SceneSpec, name: str) -> SceneObject:
     return scene.object(name)
 
 
-def _handle(item: SceneObject, joint: Any, *, grasp: bool = True) -> WorkPoint:
+def _handle(item: SceneObject, joint: JointSpec, *, grasp: bool = True) -> WorkPoint:
     handle = next(frame for frame in frames(item.spec) if frame.joint == joint.name)
     return WorkPoint(item.name, handle.part, handle.pos, grasp)
 
@@ -332,7 +339,7 @@ def turn(scene: SceneSpec, name: str, angle: float = math.pi / 3) -> Task:
     return Task(f"turn {name}", scene, goal, _handle(item, joint))
 
 
-def _check_range(item: SceneObject, joint: Any, verb: str) -> None:
+def _check_range(item: SceneObject, joint: JointSpec, verb: str) -> None:
     if joint.type not in ("prismatic", "revolute"):
         raise SpecError(
             f"task {verb}: joint {item.name}-{joint.name} is {joint.type} and has no range; turn it"

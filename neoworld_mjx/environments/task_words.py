@@ -20,6 +20,7 @@ from .task import (
     close_joint,
     insert,
     lift,
+    movable_joints,
     open_joint,
     place,
     press,
@@ -185,9 +186,7 @@ def _joint_names(scene: SceneSpec) -> dict[str, str]:
     """Return the names of the joints that tasks may move, with the words for each."""
     return {
         f"{item.name}-{joint.child}": f"{item.name} {item.spec.label} {joint.child} {joint.name}"
-        for item in scene.objects
-        for joint in item.spec.joints
-        if joint.type != "fixed" and joint.mimic is None
+        for item, joint in movable_joints(scene)
     }
 
 
