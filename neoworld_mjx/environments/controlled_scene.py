@@ -241,8 +241,7 @@ def controlled_scene(
     for name, value, valid in (("colliders", colliders, Colliders), ("control", control, Control)):
         if value not in get_args(valid):
             raise SpecError(f"{name}: {choices(value, get_args(valid))}")
-    timestep = 0.004 if mjx else 0.002
-    compiled = compile_scene(spec, timestep=timestep)
+    compiled = compile_scene(spec, timestep=0.002)
     for item in spec.objects:
         if item.name in (PREFIX, ROBOT):
             raise SpecError(
@@ -250,7 +249,7 @@ def controlled_scene(
             )
     if robot is not None and gripper is not None:
         raise SpecError("give a gripper or a robot, not both")
-    model = to_mjspec(spec, visual=visual, timestep=timestep)
+    model = to_mjspec(spec, visual=visual, timestep=0.004 if mjx else 0.002)
     for key in list(model.keys):
         model.delete(key)
     for item in spec.objects:

@@ -1,5 +1,6 @@
 """The model of a robot: read from its files, made simple, and added to the model of a scene."""
 
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -132,7 +133,7 @@ def _specification(robot: Robot) -> mujoco.MjSpec:
     files = [robot.file] + ([robot.hand] if robot.hand else [])
     for file in files if not robot.trusted else ():
         check_files(file)
-        call_limited(_compiles, file)
+        _compile_limited(file, file.stat().st_mtime_ns)
     try:
         arm, *hands = (mujoco.MjSpec.from_file(str(file)) for file in files)
         for hand in hands:
@@ -145,6 +146,12 @@ def _specification(robot: Robot) -> mujoco.MjSpec:
     arm.compiler.discardvisual = False
     arm.compiler.fusestatic = False
     return arm
+
+
+@lru_cache(maxsize=16)
+def _compile_limited(file: Path, _changed_ns: int) -> None:
+    """Compile a file in a worker with limits, once for each version of it."""
+    call_limited(_compiles, file)
 
 
 def _compiles(path: Path) -> None:

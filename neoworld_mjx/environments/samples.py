@@ -171,7 +171,7 @@ class SceneSamples:
 
 
 def sample(
-    scene: SceneSpec | Path | str,
+    scene: SceneSpec | SceneModel | Path | str,
     n: int = 64,
     *,
     seed: int = 0,
@@ -190,7 +190,7 @@ def sample(
     of C MuJoCo. The objects that are the reason of a refusal are drawn again.
 
     Args:
-        scene: the scene, a scene.json or a run folder.
+        scene: the scene, compiled or not, a scene.json or a run folder.
         n: number of draws.
         seed: random seed.
         options: options of settling and of the final check.
@@ -208,9 +208,10 @@ def sample(
     """
     if n < 1:
         raise SpecError(f"sample: n is {n}, not a positive number of draws")
-    spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
-    o = options or RefineOptions()
-    model, rng = compile_scene(spec, timestep=0.002), np.random.default_rng(seed)
+    if isinstance(scene, Path | str):
+        scene = read_scene(Path(scene))
+    model = compile_scene(scene, timestep=0.002) if isinstance(scene, SceneSpec) else scene
+    o, rng = options or RefineOptions(), np.random.default_rng(seed)
     contacts, touching = SceneContacts(model, sizes), _touching(model)
     settled = lambda drawn: _settled(model, contacts, drawn, o, max_px if sizes else math.inf, seed)
     samples = settled(draw(model, rng, n, prior))

@@ -143,7 +143,7 @@ def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants |
     if n == 0:
         return None
     scene = controlled.scene
-    drawn = sample(scene.spec, n, seed=seed, sizes=not scene.static.mjm.nmesh)
+    drawn = sample(scene, n, seed=seed, sizes=not scene.static.mjm.nmesh)
     return variants_of(controlled, drawn)
 
 
