@@ -101,19 +101,17 @@ class MjxEnv:
         if self._variants is not None:
             return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
         start = draw_start(self.controlled, key, self._noise)
-        return self._start(start.qpos, start.fields)
+        return self._start(start.qpos, self.controlled.initial_ctrl, start.fields)
 
     def reset_to(self, row: Array) -> EnvState:
         """Start an episode in one of the variants. JAX can trace this method."""
         if self._variants is None:
             raise SpecError("the environment has no variants")
-        ctrl = self._variants.ctrl
-        ctrl = self.controlled.initial_ctrl if ctrl is None else jnp.asarray(ctrl)[row]
-        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row}, ctrl)
+        qpos, ctrl = (jnp.asarray(v)[row] for v in (self._variants.qpos, self._variants.ctrl))
+        return self._start(qpos, ctrl, {"sample": row})
 
-    def _start(self, qpos: Array, own: dict[str, Array], ctrl: Any = None) -> EnvState:
+    def _start(self, qpos: Array, ctrl: Any, own: dict[str, Array]) -> EnvState:
         info = {"step": jnp.zeros((), jnp.int32), **own}
-        ctrl = self.controlled.initial_ctrl if ctrl is None else ctrl
         start = initial_world(self.controlled.model, qpos, ctrl)
         world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
         return self._state(world, world, jnp.zeros(self.action_size), info)

@@ -27,10 +27,10 @@ class Variants:
     """Variants of a controlled scene that differ in fields of the model."""
 
     qpos: Float[np.ndarray, "variant nq"]
+    ctrl: Float[np.ndarray, "variant nu"]
+    """Initial controls."""
     fields: dict[str, np.ndarray]
     """Only fields in which the variants differ, each of shape [variant, ...]."""
-    ctrl: Float[np.ndarray, "variant nu"] | None = None
-    """Initial controls; None for those of the scene."""
 
     def __len__(self) -> int:
         return len(self.qpos)
@@ -69,4 +69,5 @@ def variants_of(controlled: ControlledScene, samples: SceneSamples) -> Variants:
     differing = {
         name: v for name, v in stacked.items() if not np.allclose(v, getattr(model, name), 1e-6)
     }
-    return Variants(qpos.astype(np.float32), differing)
+    ctrl = np.tile(controlled.initial_ctrl, (count, 1))
+    return Variants(qpos.astype(np.float32), ctrl.astype(np.float32), differing)

@@ -111,10 +111,11 @@ def episodes(
         start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
 
     @jax.jit
-    def step(states: EnvState, action: Array) -> EnvState:
-        after = jax.vmap(policy_env.step)(states, action)
+    @jax.vmap
+    def step(state: EnvState, action: Array) -> EnvState:
+        after = policy_env.step(state, action)
         # A world that has diverged stays so.
-        return replace(after, done=jnp.maximum(after.done, states.done))
+        return replace(after, done=jnp.maximum(after.done, state.done))
 
     def states_of(policy: Policy) -> Iterator[EnvState]:
         check_fit(policy, start.obs.shape[-1], policy_env.action_size)

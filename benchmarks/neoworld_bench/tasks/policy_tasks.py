@@ -122,11 +122,11 @@ def with_start_noise(task: SceneTask, variants: Variants, seed: int) -> Variants
         at = variants.fields.get("body_pos", at).copy()
         at[:, arm.root] += noise
         return replace(variants, fields={**variants.fields, "body_pos": at})
-    qpos, ctrl = variants.qpos.copy(), np.tile(task.controlled.initial_ctrl, (len(variants), 1))
+    qpos, ctrl = variants.qpos.copy(), variants.ctrl.copy()
     for k, axis in enumerate("xyz"):
         qpos[:, model.joint(f"{PREFIX}-{axis}").qposadr[0]] += noise[:, k]
         ctrl[:, model.actuator(f"{PREFIX}-{axis}").id] += noise[:, k]
-    return replace(variants, qpos=qpos.astype(np.float32), ctrl=ctrl.astype(np.float32))
+    return replace(variants, qpos=qpos, ctrl=ctrl)
 
 
 def plan_script(task: SceneTask, plan: TaskPlan, control_s: float) -> Script:
