@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.randomization import ResetNoise as ResetNoise
     from .environments.reach import propose_mount as propose_mount
     from .environments.reach import reachable as reachable
-    from .environments.reset_noise import ResetNoise as ResetNoise
     from .environments.robots import Mount as Mount
     from .environments.robots import Robot as Robot
     from .environments.samples import sample as sample
@@ -70,7 +70,7 @@ _LOCATIONS = {
     "Masks": "evidence.masks",
     "Mount": "environments.robots",
     "Problem": "search.algorithm",
-    "ResetNoise": "environments.reset_noise",
+    "ResetNoise": "environments.randomization",
     "Robot": "environments.robots",
     "SceneModel": "physics.model",
     "Task": "environments.task",

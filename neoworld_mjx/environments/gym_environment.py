@@ -20,7 +20,7 @@ from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, SceneOptions
 from .mjx_environment import EnvState, MjxEnv, mjx_env, open_scene
 from .own_reward import Reward, with_four_arguments
-from .reset_noise import ResetNoise, draw_start
+from .randomization import ResetNoise, draw_start
 from .samples import moved_camera
 from .task import SceneTask, Task
 

@@ -22,9 +22,8 @@ from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene, SceneOptions, controlled_scene
 from .engines import NativeSteps, StepEngine, initial_world
 from .own_reward import Reward, traced_reward
-from .randomization import Variants
+from .randomization import ResetNoise, Variants, draw_start
 from .reach import propose_mount
-from .reset_noise import ResetNoise, draw_start
 from .simplified_scene import scene_without
 from .task import SceneTask, Task
 from .task_words import task_of
