@@ -18,7 +18,7 @@ from ..spec import SceneSpec
 from . import cameras
 from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, SceneOptions
-from .mjx_environment import EnvState, MjxEnv, mjx_env, open_scene
+from .mjx_environment import EnvState, mjx_env, open_scene
 from .own_reward import Reward, with_four_arguments
 from .randomization import ResetNoise, draw_start
 from .samples import moved_camera
@@ -132,14 +132,42 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
 
 
 class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
-    """Batch of environments whose worlds C MuJoCo steps in threads.
+    """Batch of environments, which `gymnasium.make_vec` makes of `neoworld/Scene-v0`.
 
     A world that ended restarts in the next step, whose action it ignores (`NEXT_STEP`). With a
     task, infos have `success` and `progress`, and always `diverged`, each of shape [world].
     """
 
-    def __init__(self, env: MjxEnv, num_envs: int, horizon: int) -> None:
-        self.env, self.num_envs, self._horizon = env, num_envs, horizon
+    def __init__(
+        self,
+        run: Path | str | SceneSpec,
+        *,
+        num_envs: int = 64,
+        horizon: int | None = None,
+        render_mode: str | None = None,
+        engine: str = "native",
+        **options: Any,
+    ) -> None:
+        """Open a scene.
+
+        Args:
+            run: a run folder, a scene.json or a scene.
+            num_envs: number of worlds.
+            horizon: number of steps after which an episode is truncated; if None, that of the task,
+                or 500.
+            render_mode: None; batches have no pictures.
+            engine: native, which uses all cores, warp or mjx.
+            options: task, without, reward, noise, variants, control_s, and the scene's, as in
+                `mjx_env`. JAX traces the reward.
+
+        Raises:
+            SpecError: as `gym_env`, or a picture is asked for.
+            EngineError: the engine cannot run here, or cannot simulate the scene.
+        """
+        if render_mode is not None or options.get("picture") is not None:
+            raise SpecError('batches have no pictures: pass vectorization_mode="async" to make_vec')
+        self.env = env = mjx_env(run, engine=engine, worlds=num_envs, **options)
+        self.num_envs, self._horizon = num_envs, horizon or _horizon(env.task)
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
         self.single_action_space, self.single_observation_space = _spaces(env.controlled, None)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -261,40 +289,6 @@ def gym_env(
         control_s=control_s,
         horizon=horizon or _horizon(in_scene),
     )
-
-
-def vector_env(
-    run: Path | str | SceneSpec,
-    *,
-    num_envs: int = 64,
-    horizon: int | None = None,
-    render_mode: str | None = None,
-    engine: str = "native",
-    **options: Any,
-) -> SceneVectorEnv:
-    """Return a batch of environments of a scene with Gymnasium's vector API.
-
-    `gymnasium.make_vec("neoworld_mjx.environments:neoworld/Scene-v0", num_envs=64, run=...)` takes
-    the same.
-
-    Args:
-        run: the folder, file or scene.
-        num_envs: number of worlds.
-        horizon: number of steps after which an episode is truncated; if None, that of the task, or
-            500.
-        render_mode: None; batches have no pictures.
-        engine: native, which uses all cores, warp or mjx.
-        options: task, without, reward, noise, variants, control_s, and the scene's, as in
-            `mjx_env`. JAX traces the reward.
-
-    Raises:
-        SpecError: as `gym_env`, or a picture is asked for.
-        EngineError: the engine cannot run here, or cannot simulate the scene.
-    """
-    if render_mode is not None or options.get("picture") is not None:
-        raise SpecError('batches have no pictures: pass vectorization_mode="async" to make_vec')
-    env = mjx_env(run, engine=engine, worlds=num_envs, **options)
-    return SceneVectorEnv(env, num_envs, horizon or _horizon(env.task))
 
 
 def _horizon(task: SceneTask | None) -> int:
