@@ -1,5 +1,6 @@
 """Policies: optimization, files, evaluation and the command line."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import neoworld_mjx as nw
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
@@ -20,7 +22,7 @@ from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_actio
 from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
-from neoworld_mjx.environments.training import Training, task_scene, train
+from neoworld_mjx.environments.training import Training, propose_setting, task_scene, train
 from neoworld_mjx.environments.trials import evaluate, wilson
 from neoworld_mjx.environments.video import play
 from neoworld_mjx.errors import SpecError
@@ -148,6 +150,24 @@ def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
     assert gripper_of(task_of(scene, TASK)) == "chest-drawer_handle"
     with pytest.raises(SpecError, match="no handle for a flying gripper"):
         gripper_of(task_of(scene, "reach block"))
+
+
+def test_settings_are_proposed_for_a_task(scene):
+    setting = propose_setting(scene, TASK, delay_steps=2)
+    assert setting.gripper == "chest-drawer_handle" and setting.horizon == 125
+    mount = nw.Mount((0.9, 0.4, 0.0), -2.6)
+    robot = propose_setting(scene, "reach block", robot="panda", mount=mount, horizon=7)
+    assert (robot.mount, robot.gripper, robot.horizon) == (mount, None, 7)
+    with pytest.raises(SpecError, match="name the robot, too"):
+        propose_setting(scene, TASK, mount=mount)
+    with pytest.raises(SpecError, match=r"delay_steps: .*100, got 101"):
+        propose_setting(scene, TASK, delay_steps=101)
+
+
+def test_minibatches_need_not_divide_the_worlds():
+    options = dataclasses.replace(SMALL, worlds=3, unroll=5, minibatches=4)
+    _, reports = optimized(Line(), 1, options)
+    assert np.isfinite(reports[0]["value_loss"])
 
 
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
