@@ -12,10 +12,10 @@ from .engines import share_gpu_memory
 if TYPE_CHECKING:
     from . import measure as measure
     from .environments import task as tasks  # noqa: F401
-    from .environments.controlled_scene import ResetNoise as ResetNoise
     from .environments.controlled_scene import controlled_scene as controlled_scene
     from .environments.gym_environment import gym_env as gym_env
     from .environments.mjx_environment import mjx_env as mjx_env
+    from .environments.randomization import ResetNoise as ResetNoise
     from .environments.reach import propose_mount as propose_mount
     from .environments.reach import reachable as reachable
     from .environments.robots import Mount as Mount
@@ -70,7 +70,7 @@ _LOCATIONS = {
     "Masks": "evidence.masks",
     "Mount": "environments.robots",
     "Problem": "search.algorithm",
-    "ResetNoise": "environments.controlled_scene",
+    "ResetNoise": "environments.randomization",
     "Robot": "environments.robots",
     "SceneModel": "physics.model",
     "Task": "environments.task",

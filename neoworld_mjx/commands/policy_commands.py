@@ -4,23 +4,19 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from .base_command import Command, CommandResult
-
-if TYPE_CHECKING:
-    from ..environments.policy import Setting
-    from ..spec import SceneSpec
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCommand(Command):
     """Train a policy in a scene: a robot or a flying gripper that does a task.
 
-    Every episode starts in another scene that the photograph allows. The folder gets the policy, a
-    checkpoint, and the learning curve.
+    Every episode starts in another scene that the photograph allows. The folder gets the policy and
+    the learning curve.
     """
 
     target: Positional[Path]
@@ -57,14 +53,22 @@ class TrainCommand(Command):
     delay_steps: int = 0
     """Largest delay of actions [0.04 s], in training and evaluation; each episode has its own."""
     resume: bool = False
-    """Continue from the checkpoint in the folder."""
+    """Continue the training of the policy in the folder."""
 
     def run(self) -> CommandResult:
         """Train."""
         from dataclasses import replace
 
         from ..environments.own_reward import read_reward
-        from ..environments.training import CURVE, POLICY, Training, default_options, train
+        from ..environments.robots import Mount
+        from ..environments.training import (
+            CURVE,
+            POLICY,
+            Training,
+            default_options,
+            propose_setting,
+            train,
+        )
         from ..errors import RunError
         from ..physics.engine import open_engine
         from ..spec import read_scene
@@ -82,9 +86,18 @@ class TrainCommand(Command):
         training = Training(
             self.steps, self.minutes, self.samples, self.seed, engine, self.colliders
         )
+        setting = propose_setting(
+            scene,
+            self.task,
+            robot=self.robot,
+            mount=None if self.mount is None else Mount(self.mount[:3], self.mount[3]),
+            without=self.without,
+            horizon=self.horizon,
+            delay_steps=self.delay_steps,
+        )
         policy = train(
             scene,
-            _setting(self, scene),
+            setting,
             out,
             training=training,
             options=options,
@@ -108,33 +121,6 @@ class TrainCommand(Command):
             f"wrote {result['policy']}",
             f"next: neoworld evaluate {result['policy']} {self.target}",
         ]
-
-
-def _setting(command: TrainCommand, scene: "SceneSpec") -> "Setting":
-    """Return the setting of the flags, with a proposed mount, or a gripper at the handle."""
-    from ..environments.policy import Setting
-    from ..environments.robots import Mount
-    from ..environments.simplified_scene import scene_without
-    from ..environments.task_words import gripper_of, task_of
-    from ..errors import SpecError
-
-    task = task_of(scene_without(scene, command.without), command.task)
-    own: dict[str, Any] = {"task": command.task, "without": command.without}
-    if not 0 <= command.delay_steps <= 100:
-        raise SpecError(f"--delay-steps {command.delay_steps}: it must be from 0 to 100")
-    own["delay_steps"] = command.delay_steps
-    default = Setting(**own)
-    own["horizon"] = command.horizon or round(task.horizon * 0.02 / default.control_s)
-    if command.robot is None:
-        return Setting(**own, gripper=gripper_of(task))
-    if command.mount is not None:
-        *pos, yaw = command.mount
-        mount = Mount((pos[0], pos[1], pos[2]), yaw)
-    else:
-        from ..environments.reach import propose_mount
-
-        mount = propose_mount(task, command.robot)
-    return Setting(**own, robot=command.robot, mount=mount)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,5 +11,5 @@ if find_spec("gymnasium") is not None:
     register(
         "neoworld/Scene-v0",
         f"{__name__}.gym_environment:gym_env",
-        vector_entry_point=f"{__name__}.gym_environment:vector_env",
+        vector_entry_point=f"{__name__}.gym_environment:SceneVectorEnv",
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..physics.array_types import AnyArray
-from ..spec.pose import length, quat_mul, rotate
+from ..spec.pose import Pose, length, pose, quat_mul, rotate
 from .robot_model import RobotSpec
 from .robots import PREFIX, TOOL, Mount
 
@@ -39,20 +39,25 @@ TOWARD = 0.3
 
 
 class SceneState(NamedTuple):
-    """State of a simulation from which controls, observations and tasks are computed."""
+    """State of one world: all that the next step, controls, observations and tasks need.
+
+    All engines share it, and worlds can be reset, gathered and stored like any arrays.
+    """
 
     qpos: Float[AnyArray, " nq"]
     qvel: Float[AnyArray, " nv"]
-    xpos: Float[AnyArray, "nbody 3"]
-    """Positions of the bodies [m]."""
-    xquat: Float[AnyArray, "nbody 4"]
+    act: Float[AnyArray, " na"]
+    qacc_warmstart: Float[AnyArray, " nv"]
     ctrl: Float[AnyArray, " nu"]
     """Controls of the step that led to the state."""
+    xpos: Float[AnyArray, "nbody 3"]
+    """Positions of the bodies at `qpos` [m]."""
+    xquat: Float[AnyArray, "nbody 4"]
 
 
 def scene_state(data: Any) -> SceneState:
     """Return the state of an `MjData` or an `mjx.Data`."""
-    return SceneState(data.qpos, data.qvel, data.xpos, data.xquat, data.ctrl)
+    return SceneState(*(getattr(data, name) for name in SceneState._fields))
 
 
 def copied(state: SceneState) -> SceneState:
@@ -81,7 +86,12 @@ class Arm:
     low: NDArray
     high: NDArray
     home: NDArray
+    root: int
+    """Index of the robot's first body."""
+    root_pose: Pose
+    """Pose of that body in the frame of the mount."""
     base: int
+    """Index of the body that carries the first joint."""
     tool_body: int
     tool_pos: NDArray
     """Pose of the tool in its body: z points out of the palm, and the fingers close along y."""
@@ -108,18 +118,9 @@ class Arm:
         still = np.zeros(6) if self.control == "tool" else self.home
         return np.append(still, 1.0).astype(np.float32)
 
-    def checked_home(self, home: tuple[float, ...]) -> NDArray:
-        """Return initial positions of the joints, within their limits.
-
-        Raises:
-            SpecError: their number is wrong.
-        """
-        if len(home) != len(self.joints):
-            raise SpecError(f"mount: home has {len(home)} of {len(self.joints)} joints")
-        return np.clip(home, self.low, self.high)
-
-    def initial_controls(self, ctrl: NDArray) -> None:
-        """Set the controls that hold the initial posture with an open gripper, in place."""
+    def set_initial(self, qpos: NDArray, ctrl: NDArray) -> None:
+        """Set the initial posture with an open gripper, and the controls that hold it, in place."""
+        qpos[self.qpos], qpos[self.fingers] = self.home, self.opened
         ctrl[self.actuators] = self.home / self.gains
         ctrl[self.grip_actuators] = self.grip_targets[:, 2]
 
@@ -147,11 +148,11 @@ class Arm:
         linear = xp.where(slides, axes, xp.cross(axes, lever))
         return xp.concatenate([linear, xp.where(slides, 0.0, axes)], axis=1).T
 
-    def controls(self, action: Any, state: SceneState, xp: Any = np) -> tuple[Any, Any]:
-        """Return the targets of the arm's and of the gripper's actuators.
+    def controls(self, action: Any, state: SceneState, xp: Any = np) -> Any:
+        """Return the targets of the arm's and the gripper's actuators, in the model's order.
 
         Args:
-            action: with `control="tool"`, the change of the tool's pose relative to its target:
+            action: within its bounds; with `control="tool"`, the change of the tool's pose:
                 translation and rotation vector in the axes of the robot's base, in units of
                 `MOVE_M` and `TURN_RAD`; with `control="joints"`, the targets of the joints
                 [rad or m]. Then the gripper: 1 opens, 0 moves the fingers together, -1 closes
@@ -159,14 +160,16 @@ class Arm:
             state: the present state; its controls hold the targets so far.
             xp: `numpy`, or `jax.numpy` for traced arrays.
         """
-        low, high = self.action_bounds
-        a = xp.clip(action, low, high)
-        full, shut, wide = self.grip_targets.T
+        a, (full, shut, wide) = action, self.grip_targets.T
         grip = (
             shut + xp.maximum(a[-1], 0.0) * (wide - shut) + xp.minimum(a[-1], 0.0) * (shut - full)
         )
-        if self.control == "joints":
-            return a[:-1] / self.gains, grip
+        targets = a[:-1] if self.control == "joints" else self._targets(a, state, xp)
+        order = np.argsort(np.concatenate([self.actuators, self.grip_actuators]))
+        return xp.concatenate([targets / self.gains, grip])[order]
+
+    def _targets(self, a: Any, state: SceneState, xp: Any) -> Any:
+        """Return the joints' targets of a change of the tool's pose [rad or m]."""
         here = state.qpos[self.qpos]
         aimed = state.ctrl[self.actuators] * self.gains
         aimed = xp.clip(aimed, here - LEASH_RAD, here + LEASH_RAD)
@@ -175,7 +178,17 @@ class Arm:
         turn = rotate(base, a[3:6], xp) * TURN_RAD
         drift = POSTURE * xp.sqrt(xp.sum(a[:6] ** 2)) * (self.home - aimed)
         step = self._joint_step(xp.concatenate([move, turn]), drift, state, xp)
-        return xp.clip(aimed + step, self.low, self.high) / self.gains, grip
+        return xp.clip(aimed + step, self.low, self.high)
+
+    def observe(self, state: SceneState, xp: Any = np) -> dict[str, Any]:
+        """Return positions and velocities of the joints, and targets relative to the positions."""
+        here = state.qpos[self.qpos]
+        return {
+            "robot_joints": here,
+            "robot_velocities": state.qvel[self.dof],
+            "robot_targets": state.ctrl[self.actuators] * self.gains - here,
+            "gripper": xp.concatenate([*self.tool(state, xp), self.opening(state, xp)[None]]),
+        }
 
     def toward(
         self,
@@ -240,7 +253,11 @@ def _solve(a: Any, b: Any, xp: Any) -> Any:
 def compiled_arm(
     model: mujoco.MjModel, robot: RobotSpec, mount: Mount, control: Control = "tool"
 ) -> Arm:
-    """Return the arm of a robot that was attached to a compiled model."""
+    """Return the arm of a robot that was attached to a compiled model.
+
+    Raises:
+        SpecError: the mount has an initial posture of another number of joints.
+    """
     joints = [model.joint(f"{PREFIX}-{name}").id for name in robot.arm]
     fingers = [model.joint(f"{PREFIX}-{name}").id for name in robot.fingers]
     grip = [model.actuator(f"{PREFIX}-{name}").id for name in robot.grip]
@@ -254,8 +271,12 @@ def compiled_arm(
     gains = model.actuator_gainprm[actuators, 0] / -model.actuator_biasprm[actuators, 1] / gear
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [-2 * np.pi, 2 * np.pi]).T
+    home = np.array(mount.home) if mount.home else robot.home
+    if len(home) != len(joints):
+        raise SpecError(f"mount: home has {len(home)} of {len(joints)} joints")
     tool = model.site(f"{PREFIX}-{TOOL}").id
-    base = int(model.body_parentid[model.jnt_bodyid[joints[0]]])
+    root = int(model.body_rootid[model.site_bodyid[tool]])
+    root_pose = pose(model.body_pos[root], model.body_quat[root])
     return Arm(
         mount=mount,
         control=control,
@@ -270,8 +291,10 @@ def compiled_arm(
         gains=gains,
         low=low,
         high=high,
-        home=robot.home,
-        base=base,
+        home=np.clip(home, low, high),
+        root=root,
+        root_pose=pose(mount.pos, mount.quat).inverse().then(root_pose),
+        base=int(model.body_parentid[model.jnt_bodyid[joints[0]]]),
         tool_body=int(model.site_bodyid[tool]),
         tool_pos=model.site_pos[tool],
         tool_quat=model.site_quat[tool],

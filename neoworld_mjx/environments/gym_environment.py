@@ -17,9 +17,10 @@ from ..render.scene_images import scene_view
 from ..spec import SceneSpec
 from . import cameras
 from .arm import copied, scene_state
-from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .mjx_environment import EnvState, MjxEnv, mjx_env, scene_of
+from .controlled_scene import ControlledScene, SceneOptions
+from .mjx_environment import EnvState, mjx_env, open_scene
 from .own_reward import Reward, with_four_arguments
+from .randomization import ResetNoise, draw_start
 from .samples import moved_camera
 from .task import SceneTask, Task
 
@@ -34,13 +35,8 @@ except ImportError:
     ) from None
 
 Observation = dict[str, NDArray]
-"""Observations by name:
-
-- poses [object, 7]: position [m] and quaternion (w, x, y, z) of each object's root body;
-- joints, joint_velocities [joint]: joint positions [rad or m] and velocities [rad/s or m/s];
-- gripper [8], if the scene has a gripper: pose of the tool, and distance between the pads [m];
-- picture [height, width, 3], if images are requested.
-"""
+"""Observations by name, see `ControlledScene.observe`, and with `picture` the image of the
+photograph's camera, shape [height, width, 3]."""
 
 
 class SceneEnv(gymnasium.Env[Observation, NDArray]):
@@ -50,7 +46,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
     diverges.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
+    metadata = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -67,10 +63,12 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self.model = copy.copy(controlled.model)
         self.data = mujoco.MjData(self.model)
         self.render_mode = "rgb_array"
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / control_s)}
         self._task = task
         reward = task.reward if reward is None and task is not None else reward
         self._reward = None if reward is None else with_four_arguments(reward)
-        self._noise, self._picture = noise, picture
+        self._noisy, self._picture = noise != ResetNoise(), picture
+        self._draw = jax.jit(lambda key: draw_start(controlled, key, noise))
         self._substeps = max(round(control_s / self.model.opt.timestep), 1)
         self._horizon, self._steps = horizon, 0
         self._camera = controlled.scene.spec.camera
@@ -84,15 +82,15 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         key = jax.random.key(int(self.np_random.integers(2**31)))
-        start = self.controlled.initial_qpos
-        if self._noise != ResetNoise():
-            start, pos, quat, moved = self.controlled.reset_state(key, self._noise)
-            self.model.body_pos[:], self.model.body_quat[:] = pos, quat
-            if self._noise.camera and (camera := self.controlled.scene.spec.camera) is not None:
+        qpos = self.controlled.initial_qpos
+        if self._noisy:
+            qpos, fields, moved = self._draw(key)
+            for name, values in fields.items():
+                getattr(self.model, name)[:] = values
+            if np.any(moved) and (camera := self.controlled.scene.spec.camera) is not None:
                 unknowns = Unknowns.of(self.controlled.scene.spec, camera)
                 self._camera = moved_camera(unknowns, np.asarray(moved))
-        self.data.qpos[:] = start
-        self.data.ctrl[:] = self.controlled.initial_ctrl
+        self.data.qpos[:], self.data.ctrl[:] = qpos, self.controlled.initial_ctrl
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}
@@ -134,14 +132,42 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
 
 
 class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
-    """Batch of environments whose worlds C MuJoCo steps in threads.
+    """Batch of environments, which `gymnasium.make_vec` makes of `neoworld/Scene-v0`.
 
     A world that ended restarts in the next step, whose action it ignores (`NEXT_STEP`). With a
     task, infos have `success` and `progress`, and always `diverged`, each of shape [world].
     """
 
-    def __init__(self, env: MjxEnv, num_envs: int, horizon: int) -> None:
-        self.env, self.num_envs, self._horizon = env, num_envs, horizon
+    def __init__(
+        self,
+        run: Path | str | SceneSpec,
+        *,
+        num_envs: int = 64,
+        horizon: int | None = None,
+        render_mode: str | None = None,
+        engine: str = "native",
+        **options: Any,
+    ) -> None:
+        """Open a scene.
+
+        Args:
+            run: a run folder, a scene.json or a scene.
+            num_envs: number of worlds.
+            horizon: number of steps after which an episode is truncated; if None, that of the task,
+                or 500.
+            render_mode: None; batches have no pictures.
+            engine: native, which uses all cores, warp or mjx.
+            options: task, without, reward, noise, variants, control_s, and the scene's, as in
+                `mjx_env`. JAX traces the reward.
+
+        Raises:
+            SpecError: as `gym_env`, or a picture is asked for.
+            EngineError: the engine cannot run here, or cannot simulate the scene.
+        """
+        if render_mode is not None or options.get("picture") is not None:
+            raise SpecError('batches have no pictures: pass vectorization_mode="async" to make_vec')
+        self.env = env = mjx_env(run, engine=engine, worlds=num_envs, **options)
+        self.num_envs, self._horizon = num_envs, horizon or _horizon(env.task)
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
         self.single_action_space, self.single_observation_space = _spaces(env.controlled, None)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -185,7 +211,7 @@ class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
 
     def _observed(self) -> Observation:
         assert self._state is not None
-        return {name: np.array(value) for name, value in self._state.obs.items()}
+        return jax.tree.map(np.array, self._state.obs)
 
     def _infos(self) -> dict[str, Any]:
         assert self._state is not None
@@ -200,7 +226,7 @@ class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
 def _spaces(controlled: ControlledScene, picture: tuple[int, int] | None) -> tuple[Any, Any]:
     """Return the spaces of actions and observations."""
     low, high = controlled.action_bounds
-    start = controlled.observe(scene_state(mujoco.MjData(controlled.model)))
+    start = controlled.observe(scene_state(controlled.initial_data()))
     observed: dict[str, spaces.Space[Any]] = {
         name: spaces.Box(-np.inf, np.inf, value.shape, np.float32) for name, value in start.items()
     }
@@ -251,50 +277,19 @@ def gym_env(
     """
     if render_mode not in (None, "rgb_array"):
         raise SpecError(f"render_mode: {choices(render_mode, ['rgb_array'])}")
-    scene, task = scene_of(run, task, without, scene_options)
     # A flying gripper has no geoms but those that collide.
     visual = bool(picture or render_mode) and scene_options.get("gripper") is None
-    controlled = controlled_scene(scene, visual=visual, **scene_options)
+    controlled, in_scene = open_scene(run, task, without=without, visual=visual, **scene_options)
     return SceneEnv(
         controlled,
         reward=reward,
-        task=None if task is None else task.on(controlled),
+        task=in_scene,
         noise=noise or ResetNoise(),
         picture=picture,
         control_s=control_s,
-        horizon=horizon or (500 if task is None else task.horizon),
+        horizon=horizon or _horizon(in_scene),
     )
 
 
-def vector_env(
-    run: Path | str | SceneSpec,
-    *,
-    num_envs: int = 64,
-    horizon: int | None = None,
-    render_mode: str | None = None,
-    engine: str = "native",
-    **options: Any,
-) -> SceneVectorEnv:
-    """Return a batch of environments of a scene with Gymnasium's vector API.
-
-    `gymnasium.make_vec("neoworld_mjx.environments:neoworld/Scene-v0", num_envs=64, run=...)` takes
-    the same.
-
-    Args:
-        run: the folder, file or scene.
-        num_envs: number of worlds.
-        horizon: number of steps after which an episode is truncated; if None, that of the task, or
-            500.
-        render_mode: None; batches have no pictures.
-        engine: native, which uses all cores, warp or mjx.
-        options: task, without, reward, noise, variants, control_s, and the scene's, as in
-            `mjx_env`. JAX traces the reward.
-
-    Raises:
-        SpecError: as `gym_env`, or a picture is asked for.
-        EngineError: the engine cannot run here, or cannot simulate the scene.
-    """
-    if render_mode is not None or options.get("picture") is not None:
-        raise SpecError('batches have no pictures: pass vectorization_mode="async" to make_vec')
-    env = mjx_env(run, engine=engine, worlds=num_envs, **options)
-    return SceneVectorEnv(env, num_envs, horizon or (env.task.horizon if env.task else 500))
+def _horizon(task: SceneTask | None) -> int:
+    return 500 if task is None else task.task.horizon

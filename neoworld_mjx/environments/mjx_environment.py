@@ -1,8 +1,9 @@
 """Environment of a scene for `jax.vmap`, with the interface of MuJoCo Playground.
 
-The same pure functions run on C MuJoCo (in threads), MuJoCo Warp and MJX; see `engines`.
+The same pure functions run on C MuJoCo in threads (`engines`), MuJoCo Warp and MJX (`mjx_engines`).
 """
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Unpack
@@ -13,21 +14,20 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
-from ..errors import SpecError
+from ..engines import ENGINES
+from ..errors import EngineError, SpecError, choices
 from ..physics.engine import open_engine
 from ..spec import SceneSpec, read_scene
-from .arm import scene_state
-from .controlled_scene import ControlledScene, ResetNoise, SceneOptions, controlled_scene
-from .engines import WorldState, initial_world, open_steps
+from .arm import SceneState, scene_state
+from .controlled_scene import ControlledScene, SceneOptions, controlled_scene
+from .engines import NativeSteps, StepEngine, initial_world
 from .own_reward import Reward, traced_reward
-from .randomization import Variants
+from .randomization import ResetNoise, Variants, draw_start
 from .reach import propose_mount
 from .simplified_scene import scene_without
 from .task import SceneTask, Task
 from .task_words import task_of
 
-Observation = dict[str, Array]
-"""Observations by name; see `ControlledScene.observe`."""
 WORLDS = 4096
 """Number of worlds for which warp allocates memory, unless stated."""
 
@@ -39,8 +39,9 @@ FASTEST, FARTHEST = 1e3, 1e3
 class EnvState(eqx.Module):
     """State of one environment, with the field names of MuJoCo Playground."""
 
-    data: WorldState
-    obs: Observation
+    data: SceneState
+    obs: dict[str, Array] | Array
+    """Observations by name, see `ControlledScene.observe`; of a policy, one vector."""
     reward: Float[Array, ""]
     done: Float[Array, ""]
     """1 if the simulation has diverged, otherwise 0."""
@@ -48,7 +49,9 @@ class EnvState(eqx.Module):
     """`success` (0 or 1) and `progress` (0 to 1) of the task, if there is one."""
     info: dict[str, Array]
     """`step`: number of steps since the last reset; `sample`: row of the variants; `body_pos` and
-    `body_quat`, with `ResetNoise.photo`: poses of bodies in their parents."""
+    `body_quat`, with `ResetNoise.photo`: poses of bodies in their parents; of a policy, `delay`:
+    control steps after which an action acts, and `recent`: the latest actions, the last one first,
+    shape [largest delay, action]."""
 
 
 class MjxEnv:
@@ -69,7 +72,7 @@ class MjxEnv:
         self.controlled, self.task = controlled, task
         self._reward = None if task is None else task.reward
         if reward is not None:
-            state = scene_state(mujoco.MjData(controlled.model))
+            state = scene_state(controlled.initial_data())
             obs = controlled.observe(state)
             self._reward = traced_reward(reward, obs, controlled.hold_action, state, state)
         self._noise, self._variants = noise or ResetNoise(), variants
@@ -96,22 +99,18 @@ class MjxEnv:
         """
         if self._variants is not None:
             return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
-        qpos, pos, quat, _ = self.controlled.reset_state(key, self._noise)
-        moved = self._noise.photo and len(self.controlled.fixed)
-        fields = {"body_pos": jnp.asarray(pos), "body_quat": jnp.asarray(quat)}
-        return self._start(jnp.asarray(qpos), fields if moved else {})
+        start = draw_start(self.controlled, key, self._noise)
+        return self._start(start.qpos, self.controlled.initial_ctrl, start.fields)
 
     def reset_to(self, row: Array) -> EnvState:
         """Start an episode in one of the variants. JAX can trace this method."""
         if self._variants is None:
             raise SpecError("the environment has no variants")
-        ctrl = self._variants.ctrl
-        ctrl = self.controlled.initial_ctrl if ctrl is None else jnp.asarray(ctrl)[row]
-        return self._start(jnp.asarray(self._variants.qpos)[row], {"sample": row}, ctrl)
+        qpos, ctrl = (jnp.asarray(v)[row] for v in (self._variants.qpos, self._variants.ctrl))
+        return self._start(qpos, ctrl, {"sample": row})
 
-    def _start(self, qpos: Array, own: dict[str, Array], ctrl: Any = None) -> EnvState:
+    def _start(self, qpos: Array, ctrl: Any, own: dict[str, Array]) -> EnvState:
         info = {"step": jnp.zeros((), jnp.int32), **own}
-        ctrl = self.controlled.initial_ctrl if ctrl is None else ctrl
         start = initial_world(self.controlled.model, qpos, ctrl)
         world = self.steps.step(self._fields(info), start, jnp.asarray(start.ctrl), 0)
         return self._state(world, world, jnp.zeros(self.action_size), info)
@@ -121,7 +120,7 @@ class MjxEnv:
 
         JAX can trace this method.
         """
-        ctrl = self.controlled.controls(action, scene_state(state.data), jnp)
+        ctrl = self.controlled.controls(action, state.data, jnp)
         world = self.steps.step(self._fields(state.info), state.data, ctrl, self.n_substeps)
         info = state.info | {"step": state.info["step"] + 1}
         return self._state(world, state.data, action, info)
@@ -134,41 +133,66 @@ class MjxEnv:
         return {name: info[name] for name in ("body_pos", "body_quat") if name in info}
 
     def _state(
-        self, world: WorldState, previous: WorldState, action: Array, info: dict[str, Array]
+        self, world: SceneState, previous: SceneState, action: Array, info: dict[str, Array]
     ) -> EnvState:
-        obs = self.controlled.observe(scene_state(world), jnp)
-        whole = world.xpos, world.xquat, world.qacc_warmstart
+        obs = self.controlled.observe(world, jnp)
         finite = jnp.all(jnp.abs(world.qvel) < FASTEST) & jnp.all(jnp.abs(world.qpos) < FARTHEST)
-        for values in whole:
+        for values in (world.xpos, world.xquat, world.qacc_warmstart):
             finite &= jnp.all(jnp.isfinite(values))
-        reward = jnp.zeros(())
+        numbers = {"reward": jnp.zeros(())}
         if self._reward is not None:
-            now, before = scene_state(world), scene_state(previous)
-            reward = jnp.asarray(self._reward(obs, action, now, before), jnp.float32)
-        done = 1.0 - finite.astype(jnp.float32)
-        metrics: dict[str, Array] = {}
+            numbers["reward"] = self._reward(obs, action, world, previous)
         if self.task is not None:
-            now = scene_state(world)
-            metrics = {"success": self.task.success(now), "progress": self.task.progress(now)}
-            metrics = {k: jnp.where(finite, v, 0).astype(jnp.float32) for k, v in metrics.items()}
-        return EnvState(world, obs, jnp.where(finite, reward, 0.0), done, metrics, info)
+            numbers |= {"success": self.task.success(world), "progress": self.task.progress(world)}
+        metrics = {k: jnp.where(finite, v, 0).astype(jnp.float32) for k, v in numbers.items()}
+        done = 1.0 - finite.astype(jnp.float32)
+        return EnvState(world, obs, metrics.pop("reward"), done, metrics, info)
 
 
-def scene_of(
+def open_steps(controlled: ControlledScene, engine: str, worlds: int) -> StepEngine:
+    """Return an engine for batches of at most `worlds` worlds.
+
+    Raises:
+        EngineError: the engine is unknown, cannot run here, or cannot simulate the scene.
+    """
+    model = copy.copy(controlled.model)
+    # A `SceneState` has no values of sensors.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    if engine == "native":
+        return NativeSteps(model)
+    if engine not in ENGINES:
+        raise EngineError(f"engine: {choices(engine, sorted(ENGINES))}")
+    from ..physics.warp_engine import warp_device  # MJX takes seconds to import.
+    from .mjx_engines import MjxSteps, WarpSteps, capacity
+
+    if engine == "warp":
+        warp_device()
+        return WarpSteps(model, worlds, *capacity(controlled))
+    return MjxSteps(model, controlled.initial_qpos)
+
+
+def open_scene(
     run: Path | str | SceneSpec,
     task: Task | str | None,
-    without: Sequence[str],
-    scene_options: SceneOptions,
-) -> tuple[SceneSpec, Task | None]:
-    """Return the initial scene and the task; a robot without a mount gets one in the options."""
+    *,
+    without: Sequence[str] = (),
+    mjx: bool = False,
+    links: bool = True,
+    visual: bool = False,
+    **scene_options: Unpack[SceneOptions],
+) -> tuple[ControlledScene, SceneTask | None]:
+    """Return a scene with actuators in its initial state, and the task in it.
+
+    A robot without a mount stands where it reaches the task.
+    """
     scene = scene_without(run if isinstance(run, SceneSpec) else read_scene(Path(run)), without)
-    if task is None:
-        return scene, None
-    task = task_of(scene, task) if isinstance(task, str) else task
-    robot = scene_options.get("robot")
-    if robot is not None and scene_options.get("mount") is None:
-        scene_options["mount"] = propose_mount(task, robot)
-    return task.scene, task
+    if task is not None:
+        task = task_of(scene, task) if isinstance(task, str) else task
+        scene, robot = task.scene, scene_options.get("robot")
+        if robot is not None and scene_options.get("mount") is None:
+            scene_options["mount"] = propose_mount(task, robot)
+    controlled = controlled_scene(scene, mjx=mjx, links=links, visual=visual, **scene_options)
+    return controlled, None if task is None else task.on(controlled)
 
 
 def mjx_env(
@@ -207,11 +231,12 @@ def mjx_env(
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
     name = engine or open_engine().name
-    scene, todo = scene_of(run, task, without, scene_options)
-    controlled = controlled_scene(scene, mjx=name == "mjx", **scene_options)
+    controlled, in_scene = open_scene(
+        run, task, without=without, mjx=name == "mjx", **scene_options
+    )
     return MjxEnv(
         controlled,
-        task=None if todo is None else todo.on(controlled),
+        task=in_scene,
         reward=reward,
         noise=noise,
         variants=variants,

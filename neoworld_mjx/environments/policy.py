@@ -1,4 +1,7 @@
-"""A trained policy and its file: one .npz of arrays and a description, without pickled objects."""
+"""A trained policy and its file: one .npz of arrays and a description, without pickled objects.
+
+The file also holds the rest of the state of the optimization, so training resumes from it.
+"""
 
 import io
 from dataclasses import dataclass
@@ -16,6 +19,8 @@ from ..io.files import write_output
 from .networks import Actor, Layer, Normalizer, mlp
 from .robots import Mount
 
+ACTION_S = 0.04
+"""Duration of an action [s]."""
 MAX_LAYERS, MAX_WIDTH = 16, 8192
 
 
@@ -31,7 +36,7 @@ class Setting(BaseModel):
     """Handle that a free-flying gripper faces, instead of a robot."""
     without: tuple[str, ...] = Field(default=(), max_length=500)
     """Objects that are left out."""
-    control_s: float = Field(default=0.04, gt=0, le=1)
+    control_s: float = Field(default=ACTION_S, gt=0, le=1)
     """Duration of an action [s]."""
     horizon: int = Field(default=125, gt=0, le=100_000)
     """Actions of an episode."""
@@ -55,6 +60,8 @@ class About(BaseModel):
     """Draws of the scene in training; 0 if there was only the scene itself."""
     reward: str = Field(default="", max_length=200)
     """Name of the user's reward; empty for that of the task. Nothing imports it."""
+    options: dict[str, int | float | tuple[int, ...]] = Field(default={}, max_length=50)
+    """Settings of the optimization."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +71,8 @@ class Policy:
     about: About
     actor: Actor
     normalizer: Normalizer
+    rest: tuple[NDArray, ...] = ()
+    """Other arrays of the state of the optimization, from which training resumes."""
 
     @property
     def observation_size(self) -> int:
@@ -81,6 +90,7 @@ class Policy:
             arrays |= {f"weight_{k}": layer.weight, f"bias_{k}": layer.bias}
         arrays |= {"log_std": self.actor.log_std}
         arrays |= self.normalizer._asdict()
+        arrays |= {f"rest_{k}": array for k, array in enumerate(self.rest)}
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
         write_output(path, buffer.getvalue(), SpecError)
@@ -102,11 +112,13 @@ def read_policy(path: Path | str) -> Policy:
         layers = tuple(Layer(arrays[f"weight_{k}"], arrays[f"bias_{k}"]) for k in range(count))
         actor = Actor(layers, arrays["log_std"])
         normalizer = Normalizer(arrays["seen"], arrays["mean"], arrays["squares"])
+        others = sum(name.startswith("rest_") for name in arrays)
+        rest = tuple(arrays[f"rest_{k}"] for k in range(others))
     except (KeyError, ValueError) as error:
         first = str(error).splitlines()[0]
         raise SpecError(f"{path}: it is not a policy file: {first}") from None
     _check(Path(path), actor, normalizer)
-    return Policy(about, actor, normalizer)
+    return Policy(about, actor, normalizer, rest)
 
 
 def _check(path: Path, actor: Actor, normalizer: Normalizer) -> None:

@@ -1,9 +1,9 @@
 """A task as a policy sees it: a vector of observations, and actions of about 1 in size."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from ..errors import SpecError
 from ..spec.pose import rotate
-from .arm import SceneState, scene_state
+from .arm import SceneState
 from .controlled_scene import ControlledScene
 from .mjx_environment import EnvState, MjxEnv
 from .networks import flat
@@ -49,14 +49,12 @@ def policy_observation(task: SceneTask, state: SceneState, xp: Any = jnp) -> Any
             own = [k for k, n in enumerate(scene.joints) if n.split("-", 1)[0] == item.name]
             seen[f"joints {item.name}"] = state.qpos[scene.qpos_of_joints[own]]
             seen[f"velocities {item.name}"] = state.qvel[scene.dof_of_joints[own]]
-    if (arm := scene.arm) is not None:
-        here = state.qpos[arm.qpos]
-        seen |= {"robot_joints": here, "robot_velocities": state.qvel[arm.dof]}
-        seen["robot_targets"] = state.ctrl[arm.actuators] * arm.gains - here
+    if scene.arm is not None:
+        seen |= scene.arm.observe(state, xp)
+        del seen["gripper"]  # its position in the world
     elif scene.gripper is not None:
-        n = len(scene.drives)
-        seen["target"] = state.ctrl[n : n + 3] + np.array(scene.gripper.pos, np.float32) - pos
-        seen["target_turn"] = state.ctrl[n + 3 : n + 6]
+        seen["target"] = state.ctrl[:3] + np.array(scene.gripper.pos, np.float32) - pos
+        seen["target_turn"] = state.ctrl[3:6]
     return flat(seen, xp)
 
 
@@ -66,28 +64,12 @@ def policy_action(scene: ControlledScene, state: SceneState, action: Any, xp: An
     A flying gripper moves its target by changes and closes at 0 and below, as a robot does.
     """
     a = xp.clip(action, -1.0, 1.0)
-    low, high = scene.action_bounds
-    absolute = (low + high) / 2 + (high - low) / 2 * a
     if scene.gripper is None:
-        return absolute
-    n = len(scene.drives)
-    change = np.array([STEP_M] * 3 + [STEP_RAD] * 3, np.float32) * a[n : n + 6]
-    moved = xp.clip(state.ctrl[n : n + 6] + change, low[n:-1], high[n:-1])
-    return xp.concatenate([absolute[:n], moved, high[-1:] * xp.maximum(a[-1:], 0.0)])
-
-
-class TaskState(eqx.Module):
-    """State of an environment whose observation is a vector."""
-
-    env: EnvState
-    obs: Array
-    reward: Array
-    done: Array
-    metrics: dict[str, Array]
-    delay: Array
-    """Control steps after which an action acts; the initial state is held until the first does."""
-    recent: Array
-    """Latest actions, the last one first, shape [largest delay, action]."""
+        return a
+    low, high = scene.action_bounds
+    change = np.array([STEP_M] * 3 + [STEP_RAD] * 3, np.float32) * a[:6]
+    moved = xp.clip(state.ctrl[:6] + change, low[:6], high[:6])
+    return xp.concatenate([moved, high[-1:] * xp.maximum(a[-1:], 0.0)])
 
 
 class Script(NamedTuple):
@@ -118,7 +100,7 @@ class PolicyEnv:
         self.action_size = env.action_size
         self._start = jnp.zeros((delay_steps, env.action_size))
 
-    def reset(self, key: Array) -> TaskState:
+    def reset(self, key: Array) -> EnvState:
         """Return an initial state; with a script, half of them lie along it.
 
         Starts along a motion that reaches the goal make far rewards known early (Peng et al.,
@@ -129,32 +111,33 @@ class PolicyEnv:
         delay = jax.random.randint(keys[3], (), 0, len(self._start) + 1)
         script = self._script
         if script is None:
-            return self._state(start, delay, self._start)
-        first = scene_state(start.data)
+            return self._observed(start, delay, self._start)
         moved = jax.random.uniform(keys[1]) < SCRIPTED
         until = jnp.where(moved, jax.random.randint(keys[2], (), 0, script.steps), 0)
 
         def advance(t: Array, state: EnvState) -> EnvState:
-            after = self.env.step(state, script.action(scene_state(state.data), first, t))
+            after = self.env.step(state, script.action(state.data, start.data, t))
             going = (t < until) & (after.done == 0)
             return jax.tree.map(lambda new, old: jnp.where(going, new, old), after, state)
 
         state = jax.lax.fori_loop(0, script.steps, advance, start)
-        return self._state(state, delay, self._start)
+        return self._observed(state, delay, self._start)
 
-    def reset_to(self, row: Array) -> TaskState:
+    def reset_to(self, row: Array) -> EnvState:
         """Return the initial state of one of the variants."""
-        return self._state(self.env.reset_to(row), row % (len(self._start) + 1), self._start)
+        return self._observed(self.env.reset_to(row), row % (len(self._start) + 1), self._start)
 
-    def step(self, state: TaskState, action: Array) -> TaskState:
+    def step(self, state: EnvState, action: Array) -> EnvState:
         """Return the next state."""
-        now = scene_state(state.env.data)
-        controlled, recent = self.env.controlled, jnp.stack([action, *state.recent])
-        acts = policy_action(controlled, now, recent[state.delay])
-        acts = jnp.where(state.env.info["step"] < state.delay, controlled.hold_action, acts)
-        return self._state(self.env.step(state.env, acts), state.delay, recent[:-1])
+        delay, recent = state.info["delay"], jnp.stack([action, *state.info["recent"]])
+        acts = policy_action(self.env.controlled, state.data, recent[delay])
+        acts = jnp.where(state.info["step"] < delay, self.env.controlled.hold_action, acts)
+        return self._observed(self.env.step(state, acts), delay, recent[:-1])
 
-    def _state(self, state: EnvState, delay: Array, recent: Array) -> TaskState:
-        world = scene_state(state.data)
-        obs = policy_observation(self.task, world)
-        return TaskState(state, obs, state.reward, state.done, state.metrics, delay, recent)
+    def _observed(self, state: EnvState, delay: Array, recent: Array) -> EnvState:
+        """Return a state with the policy's observation and what delays its actions.
+
+        The initial state is held until the first action acts.
+        """
+        info = state.info | {"delay": delay, "recent": recent}
+        return replace(state, obs=policy_observation(self.task, state.data), info=info)

@@ -121,17 +121,18 @@ def log_prob(actor: Actor, mean: Array, action: Array) -> Array:
     return -0.5 * jnp.sum(z * z + 2 * actor.log_std + jnp.log(2 * jnp.pi), axis=-1)
 
 
-def init(env: Trainable, options: PpoOptions, key: Array, obs_size: int) -> Learner:
-    """Return a learner with random networks."""
+def init(env: Trainable, options: PpoOptions, key: Array, obs: Array) -> Learner:
+    """Return a learner with random networks, for observations like those given, [world, obs]."""
     a, b, c = jax.random.split(key, 3)
+    obs_size = obs.shape[-1]
     actor = init_layers(a, (obs_size, *options.actor, env.action_size), 0.01)
     networks = Networks(
-        Actor(actor, jnp.full(env.action_size, options.log_std)),
+        Actor(actor, jnp.full(env.action_size, options.log_std, jnp.float32)),
         init_layers(b, (obs_size, *options.critic, 1), 1.0),
     )
     zero = jnp.zeros(obs_size)
-    opened = _optimizer(options).init(networks)
-    return Learner(networks, Normalizer(jnp.zeros(()), zero, zero), opened, c, jnp.zeros(()))
+    normalizer = Normalizer(jnp.zeros(()), zero, zero).update(obs)
+    return Learner(networks, normalizer, _optimizer(options).init(networks), c, jnp.zeros(()))
 
 
 def open_worlds(env: Trainable, options: PpoOptions, key: Array) -> tuple[Episodes, Any]:
@@ -139,7 +140,9 @@ def open_worlds(env: Trainable, options: PpoOptions, key: Array) -> tuple[Episod
     a, b = jax.random.split(key)
     pool = jax.jit(jax.vmap(env.reset))(jax.random.split(a, options.worlds))
     age = jax.random.randint(b, (options.worlds,), 0, env.horizon)
-    return Episodes(jax.tree.map(jnp.copy, pool), age, jnp.zeros(options.worlds)), pool
+    # An update donates the worlds, but not the pool.
+    states = jax.jit(lambda kept: jax.tree.map(jnp.copy, kept))(pool)
+    return Episodes(states, age, jnp.zeros(options.worlds)), pool
 
 
 Update = Callable[[Learner, Episodes, Any], tuple[Learner, Episodes, dict[str, Array]]]
@@ -222,9 +225,10 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         }
         batch = {k: v.reshape(-1, *v.shape[2:]) for k, v in batch.items()}
         size = options.worlds * options.unroll
+        used = size // options.minibatches * options.minibatches
 
         def epoch(carry: Any, own: Array) -> Any:
-            order = jax.random.permutation(own, size).reshape(options.minibatches, -1)
+            order = jax.random.permutation(own, size)[:used].reshape(options.minibatches, -1)
             split = jax.tree.map(lambda v: v[order], batch)
             return jax.lax.scan(descend, carry, split)
 

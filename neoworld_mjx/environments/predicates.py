@@ -7,7 +7,7 @@ state of the last second of a simulation, and they must hold in all of them.
 """
 
 import math
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,15 +72,36 @@ Cosine = Annotated[float, Field(ge=0, le=math.pi)]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Located(Spec):
+class Condition(Spec):
+    """A predicate about one object, which holds within bounds; subclasses have `distance`."""
+
+    SCALE: ClassVar[float] = 1.0
+    """Distance at which the progress has fallen to 1/e, in the unit of the distance."""
+    object: Name
+    source: str
+
+    def holds(self, world: StateReader) -> Any:
+        """Return True if the state fulfils the predicate."""
+        return self.distance(world) <= 0
+
+    def progress(self, world: StateReader) -> Any:
+        """Return the progress, which falls with the distance from the bounds."""
+        return world.xp.exp(-self.distance(world) / self.SCALE)
+
+    def distance(self, world: StateReader) -> Any:
+        """Return the distance from the bounds."""
+        raise NotImplementedError
+
+
+class Located(Condition):
     """A point of an object lies within a cylinder in the frame of another, and the object is at
     rest.
 
     Placement, insertion and assembly tasks use it.
     """
 
+    SCALE = 0.05
     type: Literal["located"] = "located"
-    object: Name
     point: Vec3 = (0.0, 0.0, 0.0)
     """In the object's frame [m]."""
     relative_to: Name
@@ -104,7 +125,6 @@ class Located(Spec):
     """True if the gripper must not touch it."""
     rest: bool = True
     """True if it must be at rest."""
-    source: str
 
     def holds(self, world: StateReader) -> Any:
         """Return True if the state fulfils the predicate."""
@@ -117,10 +137,6 @@ class Located(Spec):
         for other in self.touching:
             holds = holds & world.touches(self.object, other)
         return holds
-
-    def progress(self, world: StateReader) -> Any:
-        """Return the progress, which falls with the distance from the cylinder."""
-        return world.xp.exp(-self.distance(world) / 0.05)
 
     def distance(self, world: StateReader) -> Any:
         """Return the violation of the bounds [m]; 0.1 rad count as 1 cm."""
@@ -165,22 +181,12 @@ class Located(Spec):
         return text + (", released" if self.released else "")
 
 
-class Leaning(Spec):
+class Leaning(Condition):
     """An object leans by an angle within bounds: toppled, or set upright."""
 
     type: Literal["leaning"] = "leaning"
-    object: Name
     tilt: tuple[Cosine, Cosine]
     """Bounds of the angle between its z and the vertical [rad]."""
-    source: str
-
-    def holds(self, world: StateReader) -> Any:
-        """Return True if the state fulfils the predicate."""
-        return self.distance(world) <= 0
-
-    def progress(self, world: StateReader) -> Any:
-        """Return the progress, which falls with the angle outside the bounds."""
-        return world.xp.exp(-self.distance(world))
 
     def distance(self, world: StateReader) -> Any:
         """Return the angle outside the bounds [rad]."""
@@ -194,27 +200,22 @@ class Leaning(Spec):
         return f"{self.object} leans {low:.0f} to {high:.0f} deg"
 
 
-class JointBetween(Spec):
+class JointBetween(Condition):
     """A joint's value lies within bounds, and the joint is at rest."""
 
+    SCALE = 0.5
     type: Literal["joint"] = "joint"
-    object: Name
     joint: Name
     low: Number
     high: Number
     """Bounds: fractions of the joint's range, or with `absolute` its value [rad or m]."""
     absolute: bool = False
-    source: str
 
     def holds(self, world: StateReader) -> Any:
         """Return True if the state fulfils the predicate."""
         value, rate, slides = world.joint(self.object, self.joint, fraction=not self.absolute)
         slow = rate <= (JOINT_M_S if slides else JOINT_RAD_S)
         return (self.low <= value) & (value <= self.high) & slow
-
-    def progress(self, world: StateReader) -> Any:
-        """Return the progress, which falls with the distance from the bounds."""
-        return world.xp.exp(-2 * self.distance(world))
 
     def distance(self, world: StateReader) -> Any:
         """Return the distance from the bounds, in their unit."""
@@ -234,23 +235,14 @@ class JointBetween(Spec):
         return f"{self.object}/{self.joint} {bounds} {unit}, at rest"
 
 
-class Reached(Spec):
+class Reached(Condition):
     """The tool is at a point of a part of an object."""
 
+    SCALE = 0.05
     type: Literal["reached"] = "reached"
-    object: Name
     part: Name | None = None
     point: Vec3
     """In the frame of the part at rest, which is that of the object [m]."""
-    source: str
-
-    def holds(self, world: StateReader) -> Any:
-        """Return True if the state fulfils the predicate."""
-        return self.distance(world) <= 0
-
-    def progress(self, world: StateReader) -> Any:
-        """Return the progress, which falls with the distance from the point."""
-        return world.xp.exp(-self.distance(world) / 0.05)
 
     def distance(self, world: StateReader) -> Any:
         """Return the distance of the tool from the point, less `NEAR_M` [m]."""

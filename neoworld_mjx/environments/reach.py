@@ -27,7 +27,8 @@ from ..spec.pose import (
     rotate,
 )
 from .arm import ANGLE_M, scene_state
-from .controlled_scene import ControlledScene, controlled_scene, facing_pose
+from .controlled_scene import ControlledScene, controlled_scene
+from .flying_gripper import facing_pose
 from .predicates import JointBetween, Located
 from .robots import PREFIX, Mount, Robot
 from .task import Task
@@ -135,16 +136,11 @@ def _best_reach(
     task: Task, controlled: ControlledScene, data: mujoco.MjData, mount: Mount
 ) -> Reach:
     """Return the best of the ways to hold the object."""
-    root = controlled.robot_root
-    _widen(controlled.model)
-    # The frame of the mount is merged into the pose of the robot's root.
-    assert controlled.arm is not None
-    moved = pose(mount.pos, mount.quat).then(
-        pose(controlled.arm.mount.pos, controlled.arm.mount.quat)
-        .inverse()
-        .then(controlled.initial_root)
-    )
-    controlled.model.body_pos[root], controlled.model.body_quat[root] = moved
+    arm, model = controlled.arm, controlled.model
+    assert arm is not None
+    _widen(model)
+    moved = pose(mount.pos, mount.quat).then(arm.root_pose)
+    model.body_pos[arm.root], model.body_quat[arm.root] = moved
     best: Reach | None = None
     for way in range(_ways(task)):
         path = tool_path(task, mount, way)

@@ -1,5 +1,6 @@
 """The model of a robot: read from its files, made simple, and added to the model of a scene."""
 
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,48 +63,27 @@ def read_robot(
     Raises:
         SpecError: a file is broken or hostile, or has no arm with a gripper and a tool site.
     """
-    spec = _specification(robot)
-    if not visual:
-        for geom in list(spec.geoms):
-            default = geom.contype == 0 and geom.conaffinity == 0
-            if default or geom.parent == spec.worldbody:
-                spec.delete(geom)
-    model = _compile(spec, robot)
-    actuators = list(spec.actuators)
-    site = _tool_site(spec, robot)
-    chain = _chain(model, int(model.site_bodyid[site.id]))
-    arm = [j for j in range(model.njnt) if model.jnt_bodyid[j] in chain]
-    fingers = [j for j in range(model.njnt) if j not in arm]
-    for j in (*arm, *fingers):
-        if int(model.jnt_type[j]) not in _MOVES:
-            raise SpecError(f"robot {robot.file}: joint {model.joint(j).name} is no hinge or slide")
-    if not arm or not fingers:
-        raise SpecError(f"robot {robot.file}: site {site.name} is not on an arm with fingers")
-    data = mujoco.MjData(model)
-    home = _home(model, data, robot, arm)
-    closed, opened = _stroke(model, data, fingers, site.id)
-    if robot.opened:
-        if len(robot.opened) != len(fingers):
-            raise SpecError(f"robot {robot.file}: opened has not {len(fingers)} joints")
-        opened = np.array(robot.opened)
-    quat = _tool_axes(model, data, fingers, closed, opened, site.id)
-    _add_tool(spec, model, site, quat, data, ONE_JAW_M if len(fingers) == 1 else 0.0)
-    _position_actuators(spec, actuators, model, data, arm)
-    grip, targets = _grip(actuators, model, fingers, closed, opened, robot)
-    moved = {int(model.jnt_bodyid[j]) for j in fingers}
-    _simplify(spec, model, data, site, robot, moved, links, visual)
-    for geom in spec.geoms if mjx else ():
+    r = _read(robot, visual)
+    home = _home(r)
+    closed, opened = _stroke(r)
+    quat = _tool_axes(r, closed, opened)
+    _add_tool(r, quat)
+    actuators = list(r.spec.actuators)
+    grip, targets = _grip(r, actuators, closed, opened)
+    _position_actuators(r, actuators)
+    _simplify(r, links, visual)
+    for geom in r.spec.geoms if mjx else ():
         geom.condim, geom.priority = 3, 0
-    names = [model.joint(j).name for j in range(model.njnt)]
+    names = [r.model.joint(j).name for j in range(r.model.njnt)]
     return RobotSpec(
-        spec,
-        tuple(names[j] for j in arm),
-        home,
-        tuple(names[j] for j in fingers),
-        closed,
-        opened,
-        grip,
-        targets,
+        spec=r.spec,
+        arm=tuple(names[j] for j in r.arm),
+        home=home,
+        fingers=tuple(names[j] for j in r.fingers),
+        closed=closed,
+        opened=opened,
+        grip=grip,
+        grip_targets=targets,
     )
 
 
@@ -113,11 +93,47 @@ def attach_robot(model: mujoco.MjSpec, robot: RobotSpec, mount: Mount) -> None:
     model.attach(robot.spec, prefix=f"{PREFIX}-", frame=frame)
 
 
+class _Read(NamedTuple):
+    """A robot as it is read."""
+
+    robot: Robot
+    spec: mujoco.MjSpec
+    """Its specification, which changes; the indices are those of `model`."""
+    model: mujoco.MjModel
+    """The compiled specification, as it was read."""
+    data: mujoco.MjData
+    site: mujoco.MjsSite
+    """Site between the fingers, in the specification."""
+    arm: list[int]
+    fingers: list[int]
+
+
+def _read(robot: Robot, visual: bool) -> _Read:
+    """Return a robot whose joints are those of an arm and of its fingers."""
+    spec = _specification(robot)
+    if not visual:
+        for geom in list(spec.geoms):
+            default = geom.contype == 0 and geom.conaffinity == 0
+            if default or geom.parent == spec.worldbody:
+                spec.delete(geom)
+    model = _compile(spec, robot)
+    site = _tool_site(spec, robot)
+    chain = _chain(model, int(model.site_bodyid[site.id]))
+    arm = [j for j in range(model.njnt) if model.jnt_bodyid[j] in chain]
+    fingers = [j for j in range(model.njnt) if j not in arm]
+    for j in (*arm, *fingers):
+        if int(model.jnt_type[j]) not in _MOVES:
+            raise SpecError(f"robot {robot.file}: joint {model.joint(j).name} is no hinge or slide")
+    if not arm or not fingers:
+        raise SpecError(f"robot {robot.file}: site {site.name} is not on an arm with fingers")
+    return _Read(robot, spec, model, mujoco.MjData(model), site, arm, fingers)
+
+
 def _specification(robot: Robot) -> mujoco.MjSpec:
     files = [robot.file] + ([robot.hand] if robot.hand else [])
     for file in files if not robot.trusted else ():
         check_files(file)
-        call_limited(_compiles, file)
+        _compile_limited(file, file.stat().st_mtime_ns)
     try:
         arm, *hands = (mujoco.MjSpec.from_file(str(file)) for file in files)
         for hand in hands:
@@ -130,6 +146,12 @@ def _specification(robot: Robot) -> mujoco.MjSpec:
     arm.compiler.discardvisual = False
     arm.compiler.fusestatic = False
     return arm
+
+
+@lru_cache(maxsize=16)
+def _compile_limited(file: Path, _changed_ns: int) -> None:
+    """Compile a file in a worker with limits, once for each version of it."""
+    call_limited(_compiles, file)
 
 
 def _compiles(path: Path) -> None:
@@ -162,8 +184,9 @@ def _chain(model: mujoco.MjModel, body: int) -> set[int]:
     return chain
 
 
-def _home(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, arm: list[int]) -> NDArray:
+def _home(r: _Read) -> NDArray:
     """Set the data to the arm's initial positions, and return these."""
+    robot, model, arm, data = r.robot, r.model, r.arm, r.data
     if model.nkey:
         data.qpos[:] = model.key_qpos[0]
     where = model.jnt_qposadr[arm]
@@ -179,37 +202,34 @@ def _home(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, arm: list[in
     return home
 
 
-def _stroke(
-    model: mujoco.MjModel, data: mujoco.MjData, fingers: list[int], site: int
-) -> tuple[NDArray, NDArray]:
+def _stroke(r: _Read) -> tuple[NDArray, NDArray]:
     """Return the positions of the fingers when closed, and when open: farther from the tool."""
-    ends = model.jnt_range[fingers].copy()
-    for j, row in zip(fingers, ends, strict=True):
+    model, data = r.model, r.data
+    ends = model.jnt_range[r.fingers].copy()
+    for j, row in zip(r.fingers, ends, strict=True):
         distances = []
         for value in row:
             data.qpos[model.jnt_qposadr[j]] = value
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-            apart = data.xipos[model.jnt_bodyid[j]] - data.site_xpos[site]
+            apart = data.xipos[model.jnt_bodyid[j]] - data.site_xpos[r.site.id]
             distances.append(np.linalg.norm(apart))
         if distances[0] > distances[1]:
             row[:] = row[::-1]
-    return ends[:, 0], ends[:, 1]
+    closed, opened = ends.T
+    if r.robot.opened:
+        if len(r.robot.opened) != len(r.fingers):
+            raise SpecError(f"robot {r.robot.file}: opened has not {len(r.fingers)} joints")
+        opened = np.array(r.robot.opened)
+    return closed, opened
 
 
-def _tool_axes(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    fingers: list[int],
-    closed: NDArray,
-    opened: NDArray,
-    site: int,
-) -> NDArray:
+def _tool_axes(r: _Read, closed: NDArray, opened: NDArray) -> NDArray:
     """Close the fingers, and return the tool's orientation: z out of the palm, y to close along."""
-    data.qpos[model.jnt_qposadr[fingers]] = closed
+    model, data = r.model, r.data
+    data.qpos[model.jnt_qposadr[r.fingers]] = closed
     mujoco.mj_forward(model, data)
-    tool = data.site_xpos[site]
-    j = fingers[0]
+    tool, j = data.site_xpos[r.site.id], r.fingers[0]
     axis = data.xaxis[j] * np.sign(opened[0] - closed[0])
     if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE:
         axis = np.cross(axis, tool - data.xanchor[j])
@@ -220,85 +240,62 @@ def _tool_axes(
     return from_matrix(np.column_stack([np.cross(y, z), y, z]))
 
 
-def _add_tool(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    site: mujoco.MjsSite,
-    quat: NDArray,
-    data: mujoco.MjData,
-    aside: float,
-) -> None:
-    """Add the tool's site, this far from the given site toward the moving finger [m]."""
-    body = model.site_bodyid[site.id]
+def _add_tool(r: _Read, quat: NDArray) -> None:
+    """Add the tool's site; if only one finger moves, it is nearer to this finger."""
+    site, body = r.site, int(r.model.site_bodyid[r.site.id])
+    aside = ONE_JAW_M if len(r.fingers) == 1 else 0.0
     if site.name == TOOL:
         site.name = f"{TOOL}-given"
-    local = quat_mul(conjugate(data.xquat[body]), quat)
-    pos = model.site_pos[site.id] + rotate(local, (0.0, aside, 0.0))
-    added = spec.bodies[body].add_site(name=TOOL, quat=local, pos=pos)
-    added.group = 5
-
-
-def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
-    joint_driven = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-    return bool(joint_driven and model.actuator_trnid[actuator, 0] == joint)
+    local = quat_mul(conjugate(r.data.xquat[body]), quat)
+    pos = r.model.site_pos[site.id] + rotate(local, (0.0, aside, 0.0))
+    added = r.spec.bodies[body].add_site(name=TOOL, quat=local, pos=pos)
+    added.group = GROUP
 
 
 def _is_position(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(model.actuator_biasprm[actuator, 1] < 0)
 
 
-def _position_actuators(
-    spec: mujoco.MjSpec,
-    actuators: list[mujoco.MjsActuator],
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    arm: list[int],
-) -> None:
+def _position_actuators(r: _Read, actuators: list[mujoco.MjsActuator]) -> None:
     """Replace the arm's actuators that control no positions."""
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    for j in arm:
-        own = [a for a in range(model.nu) if _drives(model, a, j)]
-        if any(_is_position(model, a) for a in own):
+    model, inertia = r.model, np.zeros((r.model.nv, r.model.nv))
+    mujoco.mj_fullM(model, r.data, inertia)
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    for j in r.arm:
+        own = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == j)).tolist()
+        motors = [a for a in own if not _is_position(model, a)]
+        for a in motors:
+            r.spec.delete(actuators[a])
+        if len(motors) < len(own):
             continue
-        limits = [
-            abs(model.actuator_gear[a, 0]) * model.actuator_ctrlrange[a, 1]
-            for a in own
-            if model.actuator_ctrllimited[a]
-        ]
+        limited = [a for a in own if model.actuator_ctrllimited[a]]
+        limit = np.sum(
+            np.abs(model.actuator_gear[limited, 0]) * model.actuator_ctrlrange[limited, 1]
+        )
         mass = inertia[model.jnt_dofadr[j], model.jnt_dofadr[j]]
-        added = spec.add_actuator(
+        added = r.spec.add_actuator(
             name=f"{model.joint(j).name}-position",
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             target=model.joint(j).name,
         )
         added.set_to_position(kp=mass * RATE**2, kv=2 * mass * RATE)
-        if limits:
+        if limited:
             added.forcelimited = 1
-            added.forcerange = [-sum(limits), sum(limits)]
-    replaced = [
-        a
-        for a in range(model.nu)
-        if any(_drives(model, a, j) for j in arm) and not _is_position(model, a)
-    ]
-    for a in replaced:
-        spec.delete(actuators[a])
+            added.forcerange = [-limit, limit]
 
 
 def _grip(
-    actuators: list[mujoco.MjsActuator],
-    model: mujoco.MjModel,
-    fingers: list[int],
-    closed: NDArray,
-    opened: NDArray,
-    robot: Robot,
+    r: _Read, actuators: list[mujoco.MjsActuator], closed: NDArray, opened: NDArray
 ) -> tuple[tuple[str, ...], NDArray]:
     """Return the actuators of the fingers and their controls: full force, together, open."""
-    names, targets = [], []
-    ends = np.zeros((2, model.nq))
-    ends[:, model.jnt_qposadr[fingers]] = closed, opened
-    for a in range(model.nu):
-        shut, wide = (_length(model, a, qpos) for qpos in ends)
+    model, data = r.model, mujoco.MjData(r.model)
+    lengths, names, targets = [], [], []
+    for ends in (closed, opened):
+        data.qpos[:] = 0.0
+        data.qpos[model.jnt_qposadr[r.fingers]] = ends
+        mujoco.mj_fwdPosition(model, data)
+        lengths.append(data.actuator_length.copy())
+    for a, (shut, wide) in enumerate(zip(*lengths, strict=True)):
         if shut == wide or not _is_position(model, a):
             continue
         gain, stiffness = model.actuator_gainprm[a, 0], -model.actuator_biasprm[a, 1]
@@ -313,35 +310,15 @@ def _grip(
         actuator.name = actuator.name or f"grip_{a}"
         names.append(actuator.name)
     if not names:
-        raise SpecError(f"robot {robot.file}: no position actuator moves the fingers")
+        raise SpecError(f"robot {r.robot.file}: no position actuator moves the fingers")
     return tuple(names), np.array(targets)
 
 
-def _length(model: mujoco.MjModel, actuator: int, qpos: NDArray) -> float:
-    """Return the length of an actuator's joint or fixed tendon."""
-    target = int(model.actuator_trnid[actuator, 0])
-    gear = model.actuator_gear[actuator, 0]
-    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
-        return float(gear * qpos[model.jnt_qposadr[target]])
-    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
-        return 0.0
-    first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
-    joints = model.wrap_objid[first : first + count]
-    return float(gear * model.wrap_prm[first : first + count] @ qpos[model.jnt_qposadr[joints]])
-
-
-def _simplify(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    site: mujoco.MjsSite,
-    robot: Robot,
-    moved: set[int],
-    links: bool,
-    visual: bool,
-) -> None:
+def _simplify(r: _Read, links: bool, visual: bool) -> None:
     """Make colliders simple, and keep what the compiler would derive from removed geoms."""
-    hand = int(model.body_weldid[model.site_bodyid[site.id]])
+    spec, model, data = r.spec, r.model, r.data
+    hand = int(model.body_weldid[model.site_bodyid[r.site.id]])
+    moved = {int(model.jnt_bodyid[j]) for j in r.fingers}
     fingers = {b for b in range(model.nbody) if _chain(model, b) & moved}
     root = {b for b in range(model.nbody) if model.body_weldid[b] == 0}
     for body in spec.bodies:
@@ -355,8 +332,7 @@ def _simplify(
             body.fullinertia = [np.nan] * 6
             body.explicitinertial = True
             body.gravcomp = 1.0
-    quat = quat_mul(data.xquat[model.site_bodyid[site.id]], np.array(spec.site(TOOL).quat))
-    origin = data.site_xpos[site.id]
+    quat = quat_mul(data.xquat[model.site_bodyid[r.site.id]], np.array(spec.site(TOOL).quat))
     # Pictures show the colliders of a robot that has no other geoms.
     bare = visual and bool(np.all(model.geom_contype | model.geom_conaffinity))
     for g, geom in enumerate(list(spec.geoms)):
@@ -366,7 +342,7 @@ def _simplify(
         if not collides:
             geom.group = VISUAL_GROUP
             continue
-        touches = geom.name in robot.pads or not (in_gripper and robot.pads)
+        touches = geom.name in r.robot.pads or not (in_gripper and r.robot.pads)
         if body in root or not touches or not (in_gripper or links):
             if bare:
                 geom.contype, geom.conaffinity, geom.group = 0, 0, VISUAL_GROUP
@@ -382,8 +358,7 @@ def _simplify(
         if not visual:
             geom.material = ""
         if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
-            trim = body in fingers
-            _fit(geom, model, data, g, quat if in_gripper else None, origin, trim)
+            _fit(r, geom, g, quat if in_gripper else None, body in fingers)
     unused = () if visual else (spec.meshes, spec.materials, spec.textures)
     for kind in (spec.keys, spec.sensors, *unused):
         for element in list(kind):
@@ -394,20 +369,13 @@ TRIM_M = 0.0005
 """Distance of a finger's box from the plane in which the fingers meet [m]; pads stand out."""
 
 
-def _fit(
-    geom: mujoco.MjsGeom,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    g: int,
-    tool: NDArray | None,
-    origin: NDArray,
-    trim: bool,
-) -> None:
+def _fit(r: _Read, geom: mujoco.MjsGeom, g: int, tool: NDArray | None, trim: bool) -> None:
     """Turn a geom of a mesh into a primitive around the mesh.
 
     Links become capsules along their longest axis. Geoms of the gripper become boxes with the axes
     of the tool, and fingers end where they meet.
     """
+    model, data, origin = r.model, r.data, r.data.site_xpos[r.site.id]
     mesh = model.geom_dataid[g]
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     own = data.geom_xmat[g].reshape(3, 3)

@@ -114,7 +114,7 @@ def find_robot(robot: Robot | Path | str) -> Robot:
             raise SpecError(f"robot: there is no file {path}")
         return Robot(path)
     if str(robot) not in MODELS:
-        raise SpecError(f"robot: {choices(str(robot), MODELS)}, or a file .xml")
+        raise SpecError(f"robot: {choices(str(robot), [*MODELS, 'FILE.xml'])}")
     model = MODELS[str(robot)]
     for owner, file, fields in model.places:
         for folder in _folders(owner):

@@ -4,11 +4,11 @@ import io
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import mujoco
@@ -52,6 +52,11 @@ VERBS = {
     "settled_away": "settles elsewhere",
 }
 """What an object does that fails a check of the scene, by the name of the check."""
+PER_DRAW = (
+    *("drawn", "layouts", "poses", "cameras", "measures"),
+    *("stands", "shift_px", "at_fault", "reasons"),
+)
+"""Fields of `SceneSamples` that have one value for each draw."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,6 +69,9 @@ class SceneSamples:
 
     model: SceneModel
     """The compiled scene about which was drawn; `layouts` and `poses` are candidates of it."""
+    seed: int
+    drawn: Draws
+    """The draws before contacts."""
     layouts: Layout
     poses: Poses
     """Settled poses, sizes and physical quantities of all draws."""
@@ -75,9 +83,10 @@ class SceneSamples:
     shift_px: Float[np.ndarray, "n object"]
     """Largest displacement of a side of each object's 2D box, in an image `PIXEL_WIDTH` wide; 0
     without a camera."""
+    at_fault: Bool[np.ndarray, "n object"]
+    """True for objects that fail a check, or leave their pixels."""
     reasons: tuple[str, ...]
     """Why each draw is refused, such as "cup tips"; empty if it is kept."""
-    seed: int
     refused: tuple[str, ...] = ()
     """Reasons of the draws that were refused and drawn again."""
 
@@ -140,6 +149,20 @@ class SceneSamples:
         }
         return {name: np.asarray(value) for name, value in arrays.items()}
 
+    def replaced(self, rows: Int[np.ndarray, " m"], others: "SceneSamples") -> "SceneSamples":
+        """Return the samples with other draws in some rows, which become refused ones."""
+        index = np.arange(len(self))
+        index[rows] = len(index) + np.arange(len(rows))
+
+        def merged(name: str) -> Any:
+            own, other = getattr(self, name), getattr(others, name)
+            if name in ("cameras", "measures", "reasons"):
+                return tuple((*own, *other)[k] for k in index)
+            return jax.tree.map(lambda *leaves: np.concatenate(leaves)[index], own, other)
+
+        refused = self.refused + tuple(self.reasons[k] for k in rows)
+        return replace(self, refused=refused, **{name: merged(name) for name in PER_DRAW})
+
     def write(self, path: Path) -> None:
         """Write the arrays as a .npz file."""
         buffer = io.BytesIO()
@@ -148,7 +171,7 @@ class SceneSamples:
 
 
 def sample(
-    scene: SceneSpec | Path | str,
+    scene: SceneSpec | SceneModel | Path | str,
     n: int = 64,
     *,
     seed: int = 0,
@@ -167,7 +190,7 @@ def sample(
     of C MuJoCo. The objects that are the reason of a refusal are drawn again.
 
     Args:
-        scene: the scene, a scene.json or a run folder.
+        scene: the scene, compiled or not, a scene.json or a run folder.
         n: number of draws.
         seed: random seed.
         options: options of settling and of the final check.
@@ -185,77 +208,58 @@ def sample(
     """
     if n < 1:
         raise SpecError(f"sample: n is {n}, not a positive number of draws")
-    spec = scene if isinstance(scene, SceneSpec) else read_scene(Path(scene))
-    o = options or RefineOptions()
-    model, rng = compile_scene(spec, timestep=0.002), np.random.default_rng(seed)
+    if isinstance(scene, Path | str):
+        scene = read_scene(Path(scene))
+    model = compile_scene(scene, timestep=0.002) if isinstance(scene, SceneSpec) else scene
+    o, rng = options or RefineOptions(), np.random.default_rng(seed)
     contacts, touching = SceneContacts(model, sizes), _touching(model)
-    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px if sizes else math.inf)
-    all_draws, refused = settled(draw(model, rng, n, prior)), list[str]()
+    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px if sizes else math.inf, seed)
+    samples = settled(draw(model, rng, n, prior))
     for _ in range(redraws):
-        rows = np.flatnonzero(all_draws.at_fault.any(axis=1))
+        rows = np.flatnonzero(samples.at_fault.any(axis=1))
         if not len(rows):
             break
-        refused += [all_draws.reasons[k] for k in rows]
-        chosen = all_draws.at_fault[rows] @ touching
-        drawn = jax.tree.map(lambda leaf, rows=rows: leaf[rows], all_draws.drawn)
-        all_draws = all_draws.replaced(rows, settled(draw_again(model, drawn, chosen, rng, prior)))
-    d = all_draws
-    measures = tuple(d.measures)
-    stands = np.array([passes(measure, o) for measure in measures])
-    return SceneSamples(
-        model, d.layouts, d.poses, tuple(d.cameras), measures, stands, d.shift_px,
-        tuple(d.reasons), seed, tuple(refused),
-    )  # fmt: skip
-
-
-class _Settled(NamedTuple):
-    """Draws after settling."""
-
-    drawn: Draws
-    """The draws before contacts."""
-    layouts: Layout
-    poses: Poses
-    cameras: list[Camera | None]
-    measures: list[SceneMeasure]
-    shift_px: Float[np.ndarray, "n object"]
-    at_fault: Bool[np.ndarray, "n object"]
-    """True for objects that fail a check, or leave their pixels."""
-    reasons: list[str]
-
-    def replaced(self, rows: Int[np.ndarray, " m"], others: "_Settled") -> "_Settled":
-        """Return the draws with others in some rows."""
-        index = np.arange(len(self.reasons))
-        index[rows] = len(index) + np.arange(len(rows))
-
-        def merged(own: Any, other: Any) -> Any:
-            if isinstance(own, list):
-                both = [*own, *other]
-                return [both[k] for k in index]
-            return jax.tree.map(lambda *leaves: np.concatenate(leaves)[index], own, other)
-
-        return _Settled(*(merged(*pair) for pair in zip(self, others, strict=True)))
+        chosen = samples.at_fault[rows] @ touching
+        drawn = jax.tree.map(lambda leaf, rows=rows: leaf[rows], samples.drawn)
+        samples = samples.replaced(rows, settled(draw_again(model, drawn, chosen, rng, prior)))
+    return samples
 
 
 def _settled(
-    model: SceneModel, contacts: SceneContacts, drawn: Draws, o: RefineOptions, max_px: float
-) -> _Settled:
+    model: SceneModel,
+    contacts: SceneContacts,
+    drawn: Draws,
+    o: RefineOptions,
+    max_px: float,
+    seed: int,
+) -> SceneSamples:
     """Settle and check draws, from where contacts place them."""
     placed = contacts.kept(drawn)
     layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), placed.layouts)
     start = model.place_exactly(layouts)
     start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
     poses, measures = rest_and_measure(model, start, o, stop_early=True)
-    cameras = [moved_camera(contacts.unknowns, change) for change in placed.camera]
+    cameras = tuple(moved_camera(contacts.unknowns, change) for change in placed.camera)
     shift, diagonal = _box_shifts(model, poses, cameras)
     excess = shift - max_px - MAX_SHARE * diagonal
     rests = np.array([resting(model.spec, measure, o) for measure in measures])
     diverged = np.array([measure.diverged for measure in measures])
-    at_fault = ~rests | (excess > 0) | diverged[:, None]
-    reasons = [
-        _reason(measure, o) or _pixel_reason(model.names, row)
-        for measure, row in zip(measures, excess, strict=True)
-    ]
-    return _Settled(drawn, layouts, poses, cameras, measures, shift, at_fault, reasons)
+    return SceneSamples(
+        model=model,
+        seed=seed,
+        drawn=drawn,
+        layouts=layouts,
+        poses=poses,
+        cameras=cameras,
+        measures=tuple(measures),
+        stands=np.array([passes(measure, o) for measure in measures]),
+        shift_px=shift,
+        at_fault=~rests | (excess > 0) | diverged[:, None],
+        reasons=tuple(
+            _reason(measure, o) or _pixel_reason(model.names, row)
+            for measure, row in zip(measures, excess, strict=True)
+        ),
+    )
 
 
 def _touching(model: SceneModel) -> Bool[np.ndarray, "object object"]:

@@ -5,10 +5,9 @@ evaluates it on states of a `ControlledScene`, in NumPy or in JAX under `jit` an
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import SpecError, choices
 from ..export.link_frames import frames
 from ..physics.mjcf import body_name
-from ..spec import SceneObject, SceneSpec, bounds, joint_position, world_poses
+from ..spec import JointSpec, SceneObject, SceneSpec, bounds, joint_position, world_poses
 from ..spec.pose import length, rotate
 from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
@@ -34,8 +33,10 @@ from .predicates import (
     leaves,
 )
 
+CONTROL_S = 0.02
+"""Duration of a control step, unless an environment has another [s]."""
 HORIZON, PLACE_HORIZON = 250, 400
-"""Control steps of an episode at 50 Hz: 5 s, and 8 s where an object is carried and let go."""
+"""Control steps of an episode: 5 s, and 8 s where an object is carried and let go."""
 REACH, GRASP, PROGRESS, SUCCESS, EFFORT = 0.2, 0.2, 0.6, 1.0, 0.005
 """Weights of the reward's terms."""
 FAR_M, CLOSE_M = 0.3, 0.03
@@ -82,16 +83,6 @@ class SceneTask:
     task: Task
     controlled: ControlledScene
 
-    @property
-    def instruction(self) -> str:
-        """The instruction."""
-        return self.task.instruction
-
-    @property
-    def horizon(self) -> int:
-        """Control steps of an episode."""
-        return self.task.horizon
-
     def success(self, state: SceneState) -> Any:
         """Return True if the goal holds."""
         return self.task.goal.holds(StateView(self.controlled, state))
@@ -105,11 +96,7 @@ class SceneTask:
     @cached_property
     def initial_state(self) -> SceneState:
         """State of the scene itself, in NumPy."""
-        model = self.controlled.model
-        data = mujoco.MjData(model)
-        data.qpos[:], data.ctrl[:] = self.controlled.initial_qpos, self.controlled.initial_ctrl
-        mujoco.mj_forward(model, data)
-        return scene_state(data)
+        return scene_state(self.controlled.initial_data())
 
     @cached_property
     def initial_distance(self) -> float:
@@ -117,7 +104,7 @@ class SceneTask:
         state = self.initial_state
         start = float(self.task.goal.distance(StateView(self.controlled, state)))
         if start <= 0 and bool(self.success(state)):
-            raise SpecError(f"task {self.instruction!r}: it is done from the start")
+            raise SpecError(f"task {self.task.instruction!r}: it is done from the start")
         return max(start, 1e-3)
 
     def reward(
@@ -212,7 +199,7 @@ class StateView:
     def held(self, name: str) -> Any:
         """Return True if the tool is in an object's box and the fingers are not open."""
         controlled = self.controlled
-        if controlled.arm is None and controlled.gripper is None:
+        if controlled.effector is None:
             return self.xp.zeros((), bool)
         pos, quat = self.pose(name)
         middle, half = _box(self._item(name))
@@ -238,18 +225,25 @@ def _box(item: SceneObject) -> tuple[NDArray, NDArray]:
 # Makers
 
 
-def _joint(scene: SceneSpec, name: str) -> tuple[SceneObject, Any]:
+def movable_joints(scene: SceneSpec) -> list[tuple[SceneObject, JointSpec]]:
+    """Return the joints that tasks may move, with their objects."""
+    return [
+        (item, joint)
+        for item in scene.objects
+        for joint in item.spec.joints
+        if joint.type != "fixed" and joint.mimic is None
+    ]
+
+
+def _joint(scene: SceneSpec, name: str) -> tuple[SceneObject, JointSpec]:
     """Return the object and joint of a name: of the joint, of the part it moves, or of a handle."""
-    found = {}
-    for item in scene.objects:
-        for joint in item.spec.joints:
-            if joint.type == "fixed" or joint.mimic is not None:
-                continue
-            for own in (joint.child, f"{joint.child}_handle", joint.name):
-                found[f"{item.name}-{own}"] = item, joint
+    found, shown = {}, []
+    for item, joint in movable_joints(scene):
+        shown.append(f"{item.name}-{joint.child}")
+        for own in (joint.child, f"{joint.child}_handle", joint.name):
+            found[f"{item.name}-{own}"] = item, joint
     if name not in found:
-        shown = [f"{item.name}-{joint.child}" for item, joint in dict(found).values()]
-        raise SpecError(f"scene {scene.name}: joint: {choices(name, dict.fromkeys(shown))}")
+        raise SpecError(f"scene {scene.name}: joint: {choices(name, shown)}")
     return found[name]
 
 
@@ -260,7 +254,7 @@ def _object(scene: SceneSpec, name: str) -> SceneObject:
     return scene.object(name)
 
 
-def _handle(item: SceneObject, joint: Any, *, grasp: bool = True) -> WorkPoint:
+def _handle(item: SceneObject, joint: JointSpec, *, grasp: bool = True) -> WorkPoint:
     handle = next(frame for frame in frames(item.spec) if frame.joint == joint.name)
     return WorkPoint(item.name, handle.part, handle.pos, grasp)
 
@@ -345,7 +339,7 @@ def turn(scene: SceneSpec, name: str, angle: float = math.pi / 3) -> Task:
     return Task(f"turn {name}", scene, goal, _handle(item, joint))
 
 
-def _check_range(item: SceneObject, joint: Any, verb: str) -> None:
+def _check_range(item: SceneObject, joint: JointSpec, verb: str) -> None:
     if joint.type not in ("prismatic", "revolute"):
         raise SpecError(
             f"task {verb}: joint {item.name}-{joint.name} is {joint.type} and has no range; turn it"
@@ -453,24 +447,3 @@ def every(*tasks: Task) -> Task:
     parts = [leaf for task in tasks for leaf in leaves(task.goal)]
     words = ", then ".join(task.instruction for task in tasks)
     return replace(tasks[0], goal=Every(of=tuple(parts)), instruction=words)
-
-
-Kind = Literal[
-    "reach", "open", "close", "press", "turn", "push", "lift", "place", "insert", "stack",
-    "topple", "upright",
-]  # fmt: skip
-KINDS: dict[Kind, Callable[..., Task]] = {
-    "reach": reach,
-    "open": open_joint,
-    "close": close_joint,
-    "press": press,
-    "turn": turn,
-    "push": push,
-    "lift": lift,
-    "place": place,
-    "insert": insert,
-    "stack": stack,
-    "topple": topple,
-    "upright": upright,
-}
-"""Makers of tasks by kind; each takes the scene and names in it."""

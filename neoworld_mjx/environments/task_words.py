@@ -7,20 +7,20 @@ do not match: it answers with a kind of task and names, which are checked in the
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import SpecError
 from ..mllm import Panel, Request
 from ..spec import SceneSpec
-from .controlled_scene import handles
+from .flying_gripper import handles
 from .task import (
-    KINDS,
-    Kind,
     Task,
     close_joint,
     insert,
     lift,
+    movable_joints,
     open_joint,
     place,
     press,
@@ -32,6 +32,10 @@ from .task import (
     upright,
 )
 
+Kind = Literal[
+    "reach", "open", "close", "press", "turn", "push", "lift", "place", "insert", "stack",
+    "topple", "upright",
+]  # fmt: skip
 VERBS: dict[Kind, str] = {
     "upright": r"upright|stand up",
     "topple": r"topple|tip|knock|fell",
@@ -100,7 +104,7 @@ def make_task(scene: SceneSpec, named: NamedTask) -> Task:
         SpecError: the scene has no such name, or the kind does not fit.
     """
     a = named.amount
-    makers: dict[str, Callable[[], Task]] = {
+    makers: dict[Kind, Callable[[], Task]] = {
         "reach": lambda: reach(scene, named.name),
         "open": lambda: open_joint(scene, named.name, 0.8 if a is None else a),
         "close": lambda: close_joint(scene, named.name),
@@ -123,7 +127,7 @@ def task_request(scene: SceneSpec, words: str) -> Request[NamedTask]:
     """Return the request that asks a model for the task."""
     joints, objects = _joint_names(scene), [item.name for item in scene.objects]
     prompt = (
-        f"Kinds: {', '.join(KINDS)}\nJoints, named after the parts that they move: "
+        f"Kinds: {', '.join(get_args(Kind))}\nJoints, named after the parts that they move: "
         f"{', '.join(joints) or 'none'}\nObjects: {', '.join(objects)}\n\n"
         f"Instruction: {words[:400]}"
     )
@@ -137,7 +141,7 @@ def _matched(scene: SceneSpec, words: str) -> NamedTask:
         (k for k, verb in VERBS.items() if re.search(rf"\b(?:{verb})", spoken)), None
     )
     if kind is None:
-        raise SpecError(f"task {text!r}: no verb of a task; valid are: {', '.join(KINDS)}")
+        raise SpecError(f"task {text!r}: no verb of a task; valid are: {', '.join(get_args(Kind))}")
     joints = _joint_names(scene)
     objects = {item.name: f"{item.name} {item.spec.label}" for item in scene.objects}
     # The verb is no part of a name: a microwave that is to be opened is not its button "open".
@@ -182,9 +186,7 @@ def _joint_names(scene: SceneSpec) -> dict[str, str]:
     """Return the names of the joints that tasks may move, with the words for each."""
     return {
         f"{item.name}-{joint.child}": f"{item.name} {item.spec.label} {joint.child} {joint.name}"
-        for item in scene.objects
-        for joint in item.spec.joints
-        if joint.type != "fixed" and joint.mimic is None
+        for item, joint in movable_joints(scene)
     }
 
 

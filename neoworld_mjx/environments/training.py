@@ -5,36 +5,41 @@ import io
 import json
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import ValidationError
 
 from ..errors import SpecError
-from ..io.binary_files import read_arrays
 from ..io.files import content_hash, write_output
+from ..io.text_files import validation_message
 from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
-from .controlled_scene import ControlledScene, controlled_scene
-from .mjx_environment import MjxEnv
+from .controlled_scene import ControlledScene
+from .mjx_environment import MjxEnv, open_scene
 from .own_reward import Reward, reward_name
-from .policy import About, Policy, Setting
+from .policy import ACTION_S, About, Policy, Setting, read_policy
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, variants_of
+from .reach import propose_mount
+from .robots import Mount
 from .samples import sample
 from .scripted_motion import arm_script
 from .simplified_scene import Colliders, scene_without
-from .task import SceneTask
-from .task_words import task_of
+from .task import CONTROL_S, SceneTask
+from .task_words import gripper_of, task_of
 
 TIMESTEP_S = 0.004
 """Time step of physics in training. Evaluation halves it."""
-CHECKPOINT_S = 60.0
-POLICY, CHECKPOINT, CURVE, PICTURE = "policy.npz", "checkpoint.npz", "curve.jsonl", "curve.png"
+WRITE_S, REPORT_S = 60.0, 10.0
+"""Intervals of writing the policy and of reporting progress [s]."""
+POLICY, CURVE, PICTURE = "policy.npz", "curve.jsonl", "curve.png"
 WORLDS = {"native": 64, "warp": 2048, "mjx": 256}
 """Default number of worlds by engine."""
 
@@ -58,7 +63,47 @@ class Training:
     """Shares of the training after which the policy is also written, as policy-SHARE.npz."""
 
 
-REPORT_S = 10.0
+def propose_setting(
+    scene: SceneSpec,
+    task: str,
+    *,
+    robot: str | None = None,
+    mount: Mount | None = None,
+    without: tuple[str, ...] = (),
+    horizon: int | None = None,
+    delay_steps: int = 0,
+) -> Setting:
+    """Return a setting with a robot where it reaches the task, or a gripper at the task's handle.
+
+    Args:
+        scene: the scene.
+        task: the task as a sentence.
+        robot: a name or an MJCF file; if None, a gripper flies.
+        mount: where the robot stands, if that is known.
+        without: objects that are left out.
+        horizon: actions of an episode; if None, as long as those of the task.
+        delay_steps: largest delay of actions [control steps].
+
+    Raises:
+        SpecError: the scene has no such task, the robot reaches it from no place, the task has no
+            handle for a gripper, or a number is not within its bounds.
+    """
+    if mount is not None and robot is None:
+        raise SpecError("a mount is that of a robot: name the robot, too")
+    named, gripper = task_of(scene_without(scene, without), task), None
+    if robot is None:
+        gripper = gripper_of(named)
+    elif mount is None:
+        mount = propose_mount(named, robot)
+    if horizon is None:
+        horizon = round(named.horizon * CONTROL_S / ACTION_S)
+    try:
+        return Setting(
+            task=task, robot=robot, mount=mount, gripper=gripper, without=without, horizon=horizon,
+            delay_steps=delay_steps,
+        )  # fmt: skip
+    except ValidationError as error:
+        raise SpecError(validation_message(error, Setting)) from None
 
 
 def task_scene(
@@ -74,9 +119,10 @@ def task_scene(
     Raises:
         SpecError: the scene has no such task or handle, or the robot is not installed.
     """
-    task = task_of(scene_without(scene, setting.without), setting.task)
-    controlled = controlled_scene(
-        task.scene,
+    _, task = open_scene(
+        scene,
+        setting.task,
+        without=setting.without,
         robot=setting.robot,
         mount=setting.mount,
         gripper=setting.gripper,
@@ -85,7 +131,8 @@ def task_scene(
         visual=visual,
         colliders=colliders,
     )
-    return task.on(controlled)
+    assert task is not None
+    return task
 
 
 def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants | None:
@@ -96,7 +143,7 @@ def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants |
     if n == 0:
         return None
     scene = controlled.scene
-    drawn = sample(scene.spec, n, seed=seed, sizes=not scene.static.mjm.nmesh)
+    drawn = sample(scene, n, seed=seed, sizes=not scene.static.mjm.nmesh)
     return variants_of(controlled, drawn)
 
 
@@ -112,7 +159,7 @@ def train(
 ) -> Policy:
     """Train a policy and write it to a folder.
 
-    The folder gets `policy.npz`, `checkpoint.npz` to resume from, `curve.jsonl` with one row for
+    The folder gets `policy.npz`, from which training can resume, `curve.jsonl` with one row for
     each update, and `curve.png` if Matplotlib is installed.
 
     Args:
@@ -122,10 +169,10 @@ def train(
         training: duration, draws and seed.
         options: settings of the optimization; if None, defaults for the engine.
         reward: function that JAX can trace, see `own_reward.Reward`; if None, that of the task.
-        resume: continue from the checkpoint in the folder.
+        resume: continue the training of the policy in the folder.
 
     Raises:
-        SpecError: the task is not possible in the scene, or the checkpoint is of another training.
+        SpecError: the task is not possible in the scene, or the policy is of another training.
         EngineError: the engine cannot run here or cannot simulate the scene.
     """
     t = training or Training()
@@ -156,26 +203,28 @@ def train_task(
     reward: Reward | None = None,
     resume: bool = False,
 ) -> Policy:
-    """Train a policy of a task as `train` does.
+    """Train a policy of a task, as `train` does.
 
     Args:
         task: the task in a scene with a robot or a gripper, whose time step is set.
         setting: what is written in the policy; its timing counts.
-        out: folder of the policy.
-        variants: scenes in which episodes start; if None, the scene itself.
+        out: as for `train`.
+        variants: scenes in which episodes start, instead of draws; if None, the scene itself.
         script: motion along which half of the episodes start.
-        training: duration and seed; the variants replace its draws.
-        options: settings of the optimization; if None, defaults for the engine.
+        training: as for `train`.
+        options: as for `train`.
         reward: as for `train`.
-        resume: continue from the checkpoint in the folder.
+        resume: as for `train`.
     """
     t = training or Training()
+    engine = t.engine or open_engine().name
+    o = options or default_options(engine)
+    if t.steps < 1 or o.worlds < 1:
+        raise SpecError(f"training: steps ({t.steps}) and worlds ({o.worlds}) must be positive")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SpecError(f"cannot write to {out}: {error.strerror}") from None
-    engine = t.engine or open_engine().name
-    o = options or default_options(engine)
     task.controlled.model.opt.timestep = TIMESTEP_S
     env = MjxEnv(
         task.controlled,
@@ -187,56 +236,49 @@ def train_task(
         control_s=setting.control_s,
     )
     policy_env = PolicyEnv(env, setting.horizon, script, setting.delay_steps)
-    a, b = jax.random.split(jax.random.key(t.seed))
-    worlds, pool = ppo.open_worlds(policy_env, o, a)
-    learner = ppo.init(policy_env, o, b, pool.obs.shape[-1])
-    learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
-    own = "" if reward is None else reward_name(reward)
-    same = json.dumps(
-        [setting.model_dump(mode="json"), dataclasses.asdict(o), pool.obs.shape[-1], own]
-    )
-    curve: list[dict[str, float]] = []
-    if resume:
-        learner, curve = _read_checkpoint(out, learner, same)
-    advance = ppo.make_update(policy_env, o)
-    about = lambda: About(
+    about = About(
         setting=setting,
         scene=content_hash(task.task.scene.to_json()),
         seed=t.seed,
-        steps=round(float(learner.steps) * 1000),
+        steps=0,
         samples=t.samples,
-        reward=own[:200],
+        reward="" if reward is None else reward_name(reward)[:200],
+        options=dataclasses.asdict(o),
     )
-    before = curve[-1]["seconds"] if curve else 0.0
+    a, b = jax.random.split(jax.random.key(t.seed))
+    worlds, pool = ppo.open_worlds(policy_env, o, a)
+    learner = jax.jit(partial(ppo.init, policy_env, o))(b, pool.obs)
+    curve: list[dict[str, float]] = []
+    if resume:
+        learner, curve = _resumed(out, learner, about)
+    advance = ppo.make_update(policy_env, o)
     snapshots = [s for s in sorted(t.snapshots) if not (out / snapshot_name(s)).exists()]
-    started = saved = reported = time.monotonic()
-    first = True
+    before = curve[-1]["seconds"] if curve else 0.0
+    started = written = reported = -np.inf
     while float(learner.steps) * 1000 < t.steps:
         learner, worlds, averages = advance(learner, worlds, pool)
         row = {name: float(value) for name, value in averages.items()}
-        now = time.monotonic()
-        if first:  # compiling does not count
-            started, first = now, False
-        seconds = before + now - started
-        row = {"steps": round(float(learner.steps) * 1000), "seconds": round(seconds, 1), **row}
         if not np.isfinite(row["reward"]) or not np.isfinite(row["value_loss"]):
             raise SpecError("training diverged: its values are not finite; lower learning_rate")
+        now = time.monotonic()
+        if started == -np.inf:  # compiling does not count
+            started = written = now
+        seconds = before + now - started
+        row = {"steps": round(float(learner.steps) * 1000), "seconds": round(seconds, 1), **row}
         curve.append(row)
-        if now - reported > REPORT_S or len(curve) == 1:
+        if now - reported > REPORT_S:
             _report(row, t)
             reported = now
-        share = row["steps"] / t.steps
-        if t.minutes is not None:
-            share = max(share, seconds / (60 * t.minutes))
+        share = max(row["steps"] / t.steps, seconds / (60 * t.minutes) if t.minutes else 0.0)
         while snapshots and share >= snapshots[0]:
-            policy_of(learner, about()).write(out / snapshot_name(snapshots.pop(0)))
-        if now - saved > CHECKPOINT_S:
-            _write(out, policy_of(learner, about()), learner, same, curve)
-            saved = now
+            policy_of(learner, about).write(out / snapshot_name(snapshots.pop(0)))
+        if now - written > WRITE_S:
+            _write(out, policy_of(learner, about), curve)
+            written = now
         if t.minutes is not None and seconds > 60 * t.minutes:
             break
-    policy = policy_of(learner, about())
-    _write(out, policy, learner, same, curve)
+    policy = policy_of(learner, about)
+    _write(out, policy, curve)
     draw_curve(curve, out / PICTURE)
     return policy
 
@@ -264,47 +306,57 @@ def default_options(engine: str) -> ppo.PpoOptions:
 
 def policy_of(learner: ppo.Learner, about: About) -> Policy:
     """Return the policy of a learner, in NumPy arrays."""
+    own = about.model_copy(update={"steps": round(float(learner.steps) * 1000)})
     actor, normalizer = jax.tree.map(np.asarray, (learner.networks.actor, learner.normalizer))
-    return Policy(about, actor, normalizer)
+    rest = tuple(np.asarray(leaf) for leaf in jax.tree.leaves(_rest(learner)))
+    return Policy(own, actor, normalizer, rest)
 
 
-def _write(
-    out: Path, policy: Policy, learner: ppo.Learner, same: str, curve: list[dict[str, float]]
-) -> None:
-    policy.write(out / POLICY)
-    leaves = jax.tree.leaves(learner._replace(key=jax.random.key_data(learner.key)))
-    arrays = {f"leaf_{k}": np.asarray(leaf) for k, leaf in enumerate(leaves)}
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, settings=np.array(same), **arrays)
-    write_output(out / CHECKPOINT, buffer.getvalue(), SpecError)
-    rows = "".join(json.dumps(row) + "\n" for row in curve)
-    write_output(out / CURVE, rows, SpecError)
+def _rest(learner: ppo.Learner) -> tuple[Any, ...]:
+    """Return what a learner has besides its policy."""
+    key = jax.random.key_data(learner.key)
+    return learner.networks.critic, learner.optimizer, key, learner.steps
 
 
-def _read_checkpoint(
-    out: Path, learner: ppo.Learner, same: str
+def _resumed(
+    out: Path, fresh: ppo.Learner, about: About
 ) -> tuple[ppo.Learner, list[dict[str, float]]]:
-    """Return the learner and the curve of a checkpoint of the same training."""
-    path = out / CHECKPOINT
-    arrays = read_arrays(path, SpecError)
-    if str(arrays.get("settings", "")) != same:
-        raise SpecError(
-            f"{path} is of another task, robot, reward or settings: train into another folder"
-        )
-    plain = learner._replace(key=jax.random.key_data(learner.key))
-    leaves, tree = jax.tree.flatten(plain)
-    found = [arrays.get(f"leaf_{k}") for k in range(len(leaves))]
-    for leaf, new in zip(leaves, found, strict=True):
-        if new is None or new.shape != leaf.shape or new.dtype != leaf.dtype:
-            raise SpecError(f"{path}: it is not a checkpoint of this training")
-    restored = jax.tree.unflatten(tree, [jnp.asarray(new) for new in found])
-    restored = restored._replace(key=jax.random.wrap_key_data(restored.key))
+    """Return the learner and the curve of the training of a policy, like a fresh learner."""
+    path = out / POLICY
+    policy = read_policy(path)
+    was, now = (
+        {**a.setting.model_dump(), "reward": a.reward, **a.options} for a in (policy.about, about)
+    )
+    other = [
+        f"{name} is {was.get(name)!r}, not {value!r}"
+        for name, value in now.items()
+        if was.get(name) != value
+    ]
+    leaves, tree = jax.tree.flatten((fresh.networks.actor, fresh.normalizer, _rest(fresh)))
+    given = jax.tree.leaves((policy.actor, policy.normalizer, policy.rest))
+    describe = lambda arrays: [(a.shape, a.dtype) for a in arrays]
+    if not other and describe(given) != describe(leaves):
+        other = ["the sizes of observations or networks are others"]
+    if other:
+        raise SpecError(f"{path} is of another training, in which {'; '.join(other)}")
+    actor, normalizer, (critic, optimizer, key, steps) = jax.tree.unflatten(
+        tree, [jnp.asarray(leaf) for leaf in given]
+    )
+    learner = ppo.Learner(
+        ppo.Networks(actor, critic), normalizer, optimizer, jax.random.wrap_key_data(key), steps
+    )
     try:
         text = (out / CURVE).read_text(encoding="utf-8")
         curve = [json.loads(line) for line in text.splitlines()]
     except (OSError, ValueError):
         curve = []
-    return restored, [row for row in curve if row["steps"] <= float(restored.steps) * 1000]
+    return learner, [row for row in curve if row["steps"] <= policy.about.steps]
+
+
+def _write(out: Path, policy: Policy, curve: list[dict[str, float]]) -> None:
+    policy.write(out / POLICY)
+    rows = "".join(json.dumps(row) + "\n" for row in curve)
+    write_output(out / CURVE, rows, SpecError)
 
 
 def draw_curve(curve: list[dict[str, Any]], path: Path) -> None:

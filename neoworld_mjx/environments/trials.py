@@ -1,22 +1,20 @@
 """Evaluation of a policy in scenes that it has not seen, simulated by C MuJoCo."""
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from ..errors import SpecError
 from ..spec import SceneSpec, read_scene
-from .mjx_environment import MjxEnv
+from .mjx_environment import EnvState, MjxEnv
 from .policy import Policy, Setting
-from .policy_environment import PolicyEnv, TaskState
+from .policy_environment import PolicyEnv
 from .randomization import Variants
 from .task import SceneTask
 from .training import scene_variants, task_scene
@@ -25,14 +23,14 @@ EVALUATION_SEED = 1_000_003
 """Added to the seed of evaluation, so that its draws are not those of training."""
 
 
-def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
+def wilson(successes: int, n: int) -> tuple[float, float]:
     """Return the 95 % interval of a success rate (Wilson, 1927)."""
+    from scipy.stats import binomtest
+
     if n == 0:
         return 0.0, 1.0
-    p = successes / n
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    low, high = binomtest(successes, n).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ def evaluate(
     task = task_scene(scene, policy.about.setting)
     variants = scene_variants(task.controlled, samples, EVALUATION_SEED + seed)
     ends = last(episodes(task, policy.about.setting, variants)(policy))
-    lost = np.asarray(ends.env.done) > 0
+    lost = np.asarray(ends.done) > 0
     success = (np.asarray(ends.metrics["success"]) > 0) & ~lost
     progress = np.where(lost, 0.0, np.asarray(ends.metrics["progress"]))
     return Trials(success, progress, samples)
@@ -93,7 +91,7 @@ def evaluate(
 
 def episodes(
     task: SceneTask, setting: Setting, variants: Variants | None
-) -> Callable[[Policy], Iterator[TaskState]]:
+) -> Callable[[Policy], Iterator[EnvState]]:
     """Return a function that runs a policy once in each variant, or in the scene itself.
 
     It yields the first states of the episodes, and those after each action, and raises SpecError if
@@ -111,25 +109,27 @@ def episodes(
         start = jax.jit(jax.vmap(policy_env.reset))(jax.random.split(jax.random.key(0), 1))
     else:
         start = jax.jit(jax.vmap(policy_env.reset_to))(jnp.arange(len(variants)))
-    step = jax.jit(jax.vmap(policy_env.step))
 
-    def states_of(policy: Policy) -> Iterator[TaskState]:
+    @jax.jit
+    @jax.vmap
+    def step(state: EnvState, action: Array) -> EnvState:
+        after = policy_env.step(state, action)
+        # A world that has diverged stays so.
+        return replace(after, done=jnp.maximum(after.done, state.done))
+
+    def states_of(policy: Policy) -> Iterator[EnvState]:
         check_fit(policy, start.obs.shape[-1], policy_env.action_size)
         states = start
         yield states
         for _ in range(setting.horizon):
-            before = states
             action = policy.act(np.asarray(states.obs)).astype(np.float32)
             states = step(states, jnp.asarray(action))
-            # A world that has diverged stays so.
-            done = jnp.maximum(states.env.done, before.env.done)
-            states = eqx.tree_at(lambda s: s.env.done, states, done)
             yield states
 
     return states_of
 
 
-def last(states: Iterator[TaskState]) -> TaskState:
+def last(states: Iterator[EnvState]) -> EnvState:
     """Return the states at the ends of episodes."""
     return deque(states, maxlen=1)[0]
 

@@ -55,7 +55,7 @@ def play(
     # A flying gripper has no geoms but those that collide.
     task = task_scene(scene, setting, visual=setting.robot is not None)
     states = [jax.tree.map(lambda leaf: leaf[0], s) for s in episodes(task, setting, None)(policy)]
-    shown = [_posed(task.controlled.model, s.env.data.qpos) for s in states[::EVERY]]
+    shown = [_posed(task.controlled.model, s.data.qpos) for s in states[::EVERY]]
     view = _view(task, shown, size, azimuth)
     draw = lambda data: picture(
         task.controlled, data, view, width=size[1], height=size[0], shadows=False

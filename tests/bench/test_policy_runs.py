@@ -117,7 +117,7 @@ def test_a_robot_takes_the_place_of_the_gripper():
     variants = with_start_noise(
         robot, variants_of(robot.controlled, sample(task.scene, 2, sizes=False)), 0
     )
-    root = robot.controlled.robot_root
+    root = robot.controlled.arm.root
     apart = variants.fields["body_pos"][:, root] - robot.controlled.model.body_pos[root]
     assert (np.abs(apart).max(axis=1) > 0).all() and np.abs(apart).max() < 0.2
     there = effector.moved(np.array([0.1, -0.2])).on(own).controlled

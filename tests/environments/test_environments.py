@@ -12,7 +12,8 @@ from gymnasium.utils.env_checker import check_env
 
 import neoworld_mjx as nw
 from neoworld_mjx.environments.arm import SceneState, scene_state
-from neoworld_mjx.environments.controlled_scene import controlled_scene, facing
+from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.flying_gripper import facing
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.correlation import PoseCorrelation
@@ -204,7 +205,7 @@ def test_rendered_images_show_the_robot(scene):
 def test_both_fingers_of_a_gripper_move_half_of_its_opening(scene, opening, finger):
     controlled = controlled_scene(scene, gripper=nw.Gripper((0, 0, 1), opening=0.08))
     assert controlled.initial_ctrl[-2:] == pytest.approx([0.04, 0.04])
-    state = SceneState(*[np.zeros(0)] * 5)
+    state = SceneState(*[np.zeros(0)] * 7)
     assert controlled.controls(controlled.hold_action, state)[-2:] == pytest.approx([0.04, 0.04])
     action = controlled.hold_action.copy()
     action[-1] = opening

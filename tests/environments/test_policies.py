@@ -1,5 +1,6 @@
 """Policies: optimization, files, evaluation and the command line."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -11,8 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import neoworld_mjx as nw
 from neoworld_mjx.environments import ppo
-from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
@@ -21,7 +22,7 @@ from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_actio
 from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
-from neoworld_mjx.environments.training import Training, task_scene, train
+from neoworld_mjx.environments.training import Training, propose_setting, task_scene, train
 from neoworld_mjx.environments.trials import evaluate, wilson
 from neoworld_mjx.environments.video import play
 from neoworld_mjx.errors import SpecError
@@ -63,13 +64,13 @@ class Line:
 
 def optimized(env, updates, options):
     worlds, pool = ppo.open_worlds(env, options, jax.random.key(0))
-    learner = ppo.init(env, options, jax.random.key(1), 1)
-    learner = learner._replace(normalizer=learner.normalizer.update(pool.obs))
+    learner = ppo.init(env, options, jax.random.key(1), pool.obs)
     update = ppo.make_update(env, options)
     reports = []
     for _ in range(updates):
         learner, worlds, report = update(learner, worlds, pool)
         reports.append({k: float(v) for k, v in report.items()})
+    assert update._cache_size() == 1  # compiled once
     return learner, reports
 
 
@@ -151,19 +152,38 @@ def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
         gripper_of(task_of(scene, "reach block"))
 
 
+def test_settings_are_proposed_for_a_task(scene):
+    setting = propose_setting(scene, TASK, delay_steps=2)
+    assert setting.gripper == "chest-drawer_handle" and setting.horizon == 125
+    mount = nw.Mount((0.9, 0.4, 0.0), -2.6)
+    robot = propose_setting(scene, "reach block", robot="panda", mount=mount, horizon=7)
+    assert (robot.mount, robot.gripper, robot.horizon) == (mount, None, 7)
+    with pytest.raises(SpecError, match="name the robot, too"):
+        propose_setting(scene, TASK, mount=mount)
+    with pytest.raises(SpecError, match=r"delay_steps: .*100, got 101"):
+        propose_setting(scene, TASK, delay_steps=101)
+
+
+def test_minibatches_need_not_divide_the_worlds():
+    options = dataclasses.replace(SMALL, worlds=3, unroll=5, minibatches=4)
+    _, reports = optimized(Line(), 1, options)
+    assert np.isfinite(reports[0]["value_loss"])
+
+
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
-    env = PolicyEnv(MjxEnv(task.controlled, task=task, engine="native", control_s=0.1), 10)
+    inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.1)
+    env = PolicyEnv(inner, 10)
     state = env.reset(jax.random.key(0))
     assert state.metrics["success"] == 0
     action = jnp.array([1.0, 0, 0, 0, 0, 0, -1.0])
     for _ in range(4):
         state = env.step(state, action)
-    tool = np.asarray(task.controlled.tool(scene_state(state.env.data))[0])
+    tool = np.asarray(task.controlled.tool(state.data)[0])
     start = np.array(task.controlled.gripper.pos)
     assert np.allclose(tool - start, [0.08, 0, 0], atol=0.01)
-    assert float(state.env.obs["gripper"][-1]) < 0.02
-    held = policy_action(task.controlled, scene_state(state.env.data), np.full(7, 9.0), np)
+    assert float(inner.controlled.observe(state.data, jnp)["gripper"][-1]) < 0.02
+    held = policy_action(task.controlled, state.data, np.full(7, 9.0), np)
     assert held[-1] == pytest.approx(0.12)
 
 
@@ -172,14 +192,14 @@ def test_each_episode_delays_actions_by_its_own_steps(scene):
     inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
     env = PolicyEnv(inner, 10, delay_steps=2)
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 16))
-    assert set(states.delay.tolist()) == {0, 1, 2}
+    assert set(states.info["delay"].tolist()) == {0, 1, 2}
     step, targets = jax.jit(jax.vmap(env.step)), []
     for k in range(5):
         action = jnp.zeros((16, 7)).at[:, 0].set(0.5 if k else 1.0).at[:, 6].set(1.0)
         states = step(states, action)
-        targets.append(states.env.data.ctrl[:, 0])
+        targets.append(states.data.ctrl[:, 0])
     done = [0.0, 0.0, 0.02, 0.03, 0.04, 0.05, 0.06]  # of the third step with a delay of 2 on
-    for delay, row in zip(states.delay.tolist(), np.transpose(targets), strict=True):
+    for delay, row in zip(states.info["delay"].tolist(), np.transpose(targets), strict=True):
         assert row == pytest.approx(done[2 - delay : 7 - delay], abs=1e-6)
 
 
@@ -202,8 +222,10 @@ def test_training_writes_a_policy_and_resumes(scene, trained):
     assert [row["steps"] for row in rows] == [64, 128, 192, 256]
     assert resumed.about.steps == 256
     other = setting.model_copy(update={"horizon": 30})
-    with pytest.raises(SpecError, match="another task, robot, reward or settings"):
+    with pytest.raises(SpecError, match=r"another training, in which horizon is 20, not 30$"):
         train(scene, other, out, training=more, options=SMALL, resume=True)
+    with pytest.raises(SpecError, match=r"steps \(0\) and worlds \(8\) must be positive"):
+        train(scene, setting, out, training=Training(steps=0, samples=0), options=SMALL)
 
 
 def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
@@ -223,9 +245,9 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["last"]["reward"] == pytest.approx(7.0, abs=1e-3)
     assert read_policy(folder / "policy" / "policy.npz").about.reward == "still"
-    # A policy and a checkpoint have its name, which nothing imports.
+    # A policy has its name, which nothing imports.
     ended = neoworld("train", folder, *small, "--resume")
-    assert ended.returncode == 2 and "another task, robot, reward or settings" in ended.stderr
+    assert ended.returncode == 2 and "in which reward is 'still', not ''" in ended.stderr
     for name, message in {
         f"{file}:eager": "reward eager: JAX cannot trace it (ConcretizationTypeError",
         f"{file}:many": "reward many: returns shape (1, 1), not one number",

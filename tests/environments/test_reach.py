@@ -52,9 +52,7 @@ def run(task, mount):
     controlled = controlled_scene(task.scene, robot=ARM, mount=mount)
     arm, on, rows = controlled.arm, task.on(controlled), []
     assert arm is not None
-    data = mujoco.MjData(controlled.model)
-    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
-    mujoco.mj_forward(controlled.model, data)
+    data = controlled.initial_data()
 
     def follow(start, end, grip, steps):
         for k in range(1, steps + 1):

@@ -28,9 +28,7 @@ def controlled():
 
 @pytest.fixture
 def data(controlled):
-    data = mujoco.MjData(controlled.model)
-    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
-    mujoco.mj_forward(controlled.model, data)
+    data = controlled.initial_data()
     return data
 
 

@@ -1,5 +1,8 @@
 """One environment on several engines, which agree with C MuJoCo."""
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,13 +13,9 @@ import pytest
 import neoworld_mjx as nw
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene
-from neoworld_mjx.environments.engines import (
-    NativeSteps,
-    WarpSteps,
-    capacity,
-    initial_world,
-    open_steps,
-)
+from neoworld_mjx.environments.engines import NativeSteps, initial_world
+from neoworld_mjx.environments.mjx_engines import WarpSteps, capacity
+from neoworld_mjx.environments.mjx_environment import open_steps
 from neoworld_mjx.errors import EngineError, SpecError
 
 
@@ -141,3 +140,11 @@ def test_rewards_take_one_or_four_arguments(scene):
 def test_unknown_engines_are_refused(scene):
     with pytest.raises(EngineError, match="valid are: mjx, native, warp"):
         nw.mjx_env(scene, engine="bullet")
+
+
+def test_environments_on_c_mujoco_import_no_mjx():
+    code = (
+        "import sys, neoworld_mjx as nw; nw.gym_env, nw.mjx_env; print('mujoco.mjx' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "False\n"

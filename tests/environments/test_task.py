@@ -33,8 +33,7 @@ def scene():
 
 def state_of(controlled, **values):
     """A state of a scene in which joints, or free bodies, have these coordinates."""
-    data = mujoco.MjData(controlled.model)
-    data.qpos[:], data.ctrl[:] = controlled.initial_qpos, controlled.initial_ctrl
+    data = controlled.initial_data()
     for name, value in values.items():
         where = controlled.model.joint(name.replace("__", "-")).qposadr[0]
         size = np.size(value)
@@ -93,7 +92,7 @@ def test_a_placed_object_must_rest_and_be_let_go(scene):
     xpos = there.xpos.copy()
     xpos[tool] = there.xpos[controlled.model.body("board").id]
     closed = there.qpos.copy()
-    closed[controlled.qpos_of_fingers] = 0.01
+    closed[controlled.effector.fingers] = 0.01
     held = there._replace(xpos=xpos, qpos=closed)
     assert not bool(on.success(held))
 

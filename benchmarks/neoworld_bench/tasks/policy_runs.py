@@ -27,7 +27,7 @@ from neoworld_mjx.environments.randomization import Variants, variants_of
 from neoworld_mjx.environments.samples import SceneSamples, sample
 from neoworld_mjx.environments.task import SceneTask, Task
 from neoworld_mjx.environments.training import (
-    CHECKPOINT,
+    POLICY,
     Training,
     default_options,
     snapshot_name,
@@ -191,7 +191,7 @@ def _trained(
     train_task(
         learned, o.setting, folder, variants=drawn,
         script=effector.script(learned, plan, o.setting.control_s), training=o.training,
-        options=options, resume=(folder / CHECKPOINT).exists(),
+        options=options, resume=(folder / POLICY).exists(),
     )  # fmt: skip
     seed = EVALUATION_SEED + o.training.seed
     before = _Arena(o, own, effector, sample(inside, o.samples, seed=seed, sizes=False), goal)
@@ -244,7 +244,7 @@ class _Arena:
 
     def successes(self, policy: Policy) -> NDArray:
         """Return which draws a policy succeeds in."""
-        ends = last(self._states(policy)).env
+        ends = last(self._states(policy))
         qpos, qvel, ctrl = (np.asarray(getattr(ends.data, n)) for n in ("qpos", "qvel", "ctrl"))
         lost = np.asarray(ends.done) > 0
         with ThreadPoolExecutor() as threads:

@@ -117,16 +117,16 @@ def with_start_noise(task: SceneTask, variants: Variants, seed: int) -> Variants
     """Return variants in which the gripper or robot is elsewhere, by normal noise of `START_M`."""
     model = task.controlled.model
     noise = np.random.default_rng(seed).normal(0.0, START_M, (len(variants), 3))
-    if task.controlled.arm is not None:
+    if (arm := task.controlled.arm) is not None:
         at = np.tile(model.body_pos, (len(variants), 1, 1)).astype(np.float32)
         at = variants.fields.get("body_pos", at).copy()
-        at[:, task.controlled.robot_root] += noise
+        at[:, arm.root] += noise
         return replace(variants, fields={**variants.fields, "body_pos": at})
-    qpos, ctrl = variants.qpos.copy(), np.tile(task.controlled.initial_ctrl, (len(variants), 1))
+    qpos, ctrl = variants.qpos.copy(), variants.ctrl.copy()
     for k, axis in enumerate("xyz"):
         qpos[:, model.joint(f"{PREFIX}-{axis}").qposadr[0]] += noise[:, k]
         ctrl[:, model.actuator(f"{PREFIX}-{axis}").id] += noise[:, k]
-    return replace(variants, qpos=qpos.astype(np.float32), ctrl=ctrl.astype(np.float32))
+    return replace(variants, qpos=qpos, ctrl=ctrl)
 
 
 def plan_script(task: SceneTask, plan: TaskPlan, control_s: float) -> Script:
