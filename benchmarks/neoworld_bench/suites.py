@@ -83,7 +83,7 @@ class Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Photos:
-    """Run fit, composition and search on noisy responses to forty rendered scenes, and report each
+    """Run composition, alignment and search on noisy responses to forty rendered scenes, and report each
     step's errors and the objects that it made worse; needs no model.
     """
 
