@@ -2,8 +2,8 @@
 
 `SceneTree` itself validates names, parents and the absence of cycles. Each issue states the
 measured value, the threshold, and a hint for the correction. A model estimates distances less
-accurately than pixels and sizes, and Step 4 corrects them, so nothing is an issue that a move of
-the object within `REACH` resolves.
+accurately than pixels and sizes, and Step 4 corrects them. Therefore a projection, a gap or a
+footprint is no issue if a move of the object within `REACH` resolves it.
 
 Of two thresholds, an issue beyond `..._WARNING` is a warning, and an issue beyond `..._ERROR` is an
 error.
@@ -81,18 +81,13 @@ class SceneIssue(BaseModel):
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
     """Check a parse; return errors, then warnings, each in the order of the nodes."""
-    issues = [*check_objects(tree), *_pairs(tree)]
-    return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
-
-
-def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
-    """Check every node and its support; `check_tree` also checks pairs of objects."""
+    issues: list[SceneIssue] = []
     for node in tree.nodes:
-        yield from _projection(tree, node)
-        yield from _size(node)
-        yield from _flags(tree, node)
+        issues += [*_projection(tree, node), *_size(node), *_flags(tree, node)]
         if node.parent is not None:
-            yield from _support(tree, node, tree.node(node.parent))
+            issues += _support(tree, node, tree.node(node.parent))
+    issues += _pairs(tree)
+    return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
