@@ -6,8 +6,6 @@ cylinder, a ball, ..., or a shape between box and cylinder if the category is un
 the picture's border hide sides of a 2D box, which then agree with every outline beyond them.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
@@ -337,19 +335,12 @@ def _is_nearer(tree: SceneTree, other: TreeNode, node: TreeNode) -> bool:
         return False
     if other.parent == node.name or node.parent == other.name:
         return False
-    camera = tree.camera
+    eye, forward = tree.camera.position(), tree.camera.axes()[:, 2]
     nearer, depth = (
-        _depth(camera, item.box3d, item.base_tilt)  # pyright: ignore[reportArgumentType]
+        float(((item.box3d.corners(item.base_tilt) - eye) @ forward).mean())
         for item in (other, node)
     )
     return nearer < depth
-
-
-@lru_cache(maxsize=1024)  # Many pairs of objects compare their depths.
-def _depth(camera: Camera, box: Box3D, tilt: Quat) -> float:
-    """Return the mean depth of a box's corners [m]."""
-    eye, axis = camera.position(), camera.axes()[:, 2]
-    return float(((box.corners(tilt) - eye) @ axis).mean())
 
 
 def _covered_fractions(
