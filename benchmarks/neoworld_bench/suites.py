@@ -83,8 +83,8 @@ class Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Photos:
-    """Run fit, composition and search on noisy responses to forty rendered scenes, and report each
-    step's errors and the objects that it made worse; needs no model.
+    """Run composition, alignment and search on noisy responses to forty rendered scenes, and report
+    each step's errors and the objects that it made worse; needs no model.
     """
 
     scenes: tuple[int, ...] = ()

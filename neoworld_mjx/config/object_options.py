@@ -21,14 +21,6 @@ class ParseOptions(Options):
         ge=64,
         le=8192,
     )
-    fit: bool = option(
-        True,
-        "Fit the camera and the 3D boxes of the model's response to its 2D boxes by least squares.",
-        difference=PaperDifference(
-            False,
-            "Models estimate sizes and distances less accurately than 2D boxes.",
-        ),
-    )
 
 
 class JointSweepOptions(Options):
@@ -184,11 +176,10 @@ class ComposeOptions(Options):
 
     refit: bool = option(
         True,
-        "Before composition, move the camera and the reconstructed objects to their 2D boxes. "
-        "Requires `parse.fit`.",
+        "Before composition, move the camera and the reconstructed objects to their 2D boxes.",
         difference=PaperDifference(
             False,
-            "Reconstructed shapes fill their boxes differently from outlines of categories.",
+            "Models estimate distances less accurately than 2D boxes.",
         ),
     )
     settle: bool = option(

@@ -7,6 +7,4 @@
 - `problem`: which rows there are at some values. `solve`: their sum, its solution and covariance.
 - `depth_start`: where a depth image starts. `views`: cameras of further photographs.
 - `image/`: colors, line segments, and renderings of the scene. `result`: what changed.
-- `tree/`: Step 1. `fit_tree` fits the parsed boxes with the outlines of categories, and
-  `tree_checks` checks them without a model.
 """

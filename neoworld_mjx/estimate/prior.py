@@ -1,8 +1,7 @@
 """Prior of the estimate: how far the scene may be from the parsed and the composed one.
 
 The priors of objects are Student's t distributions, because most objects are almost right and some
-are far off. So is that of the camera's pitch, which vertical edges can contradict. The fit of the
-parsed tree (`tree/tree_prior.py`) has the same standard deviations.
+are far off. So is that of the camera's pitch, which vertical edges can contradict.
 
 Each pair of percentages or angles in the docstrings is the median and the 90th percentile of
 changes by a weakly regularized fit of boxes. The fit was applied to the responses for four
@@ -17,18 +16,18 @@ from jaxtyping import Float
 
 from .unknowns import CAMERA, EACH, TILT, Placement, Unknowns
 
-LOG_SIZE, LOG_ASPECT = 0.03, 0.02
-"""Logarithm of an object's scale, and logarithm of the ratios of its edges: 1 %, 5 %. Sizes are the
-most accurate values, because the sizes of such objects are well known."""
+LOG_SIZE = 0.03
+"""Logarithm of an object's scale: 1 %, 5 %. Sizes are the most accurate values, because the sizes
+of such objects are well known."""
 YAW = math.radians(3.0)
 """Heading [rad]: 0.2 deg, 2 deg, if the box depends on the heading."""
 DEPTH, ACROSS = 0.035, 0.015
 """Position along and across the view, relative to the distance from the camera: together 4 %, 8 %.
 The pixel of an object's foot determines the position, and one row of pixels spans more meters than
 one column."""
-FASTENED_M, FASTENED = 0.005, 0.025
-"""Position of an attached object: along the support's normal [m], and in the support's plane,
-relative to the distance from the camera."""
+FASTENED = 0.025
+"""Position of an attached object in the plane of its support, relative to the distance from the
+camera."""
 PITCH, LOG_HEIGHT = math.radians(1.5), 0.04
 """Camera's pitch [rad] and logarithm of its height, which are computed from vanishing points,
 ellipses and known sizes. Roll and field of view are fixed: boxes cannot distinguish a wrong field

@@ -146,7 +146,7 @@ def box_iou(parsed: Mapping[str, float], composed: SceneSpec, refined: SceneSpec
     """Compare the boxes of a run with the parsed 2D boxes, by intersection over union.
 
     Args:
-        parsed: value of each object of the parse, see `estimate.tree_checks.agreement`.
+        parsed: value of each object of the parse, see `parse.checks.agreement`.
         composed: the composed scene, whose visible boxes are compared.
         refined: the refined scene, whose visible boxes are compared.
 

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from ..estimate.tree.projection import NEAR_M, edges_in_view
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
+from .outlines import NEAR_M, edges_in_view
 from .photo import Photo
 
 GREY = (170, 170, 170)

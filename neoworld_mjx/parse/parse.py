@@ -1,8 +1,8 @@
-"""Step 1: request the scene in a photo; fit, check and criticize it; and return the best round.
+"""Step 1: request the scene in a photo; check and criticize it; and return the best round.
 
-Each response is fitted to its own 2D boxes and checked without a model. A repair request lists
+Each response is checked without a model. A repair request lists
 
-- the issues of the response that the fit does not repair and the critic does not dismiss,
+- the issues of the response that the critic does not dismiss,
 - the faults that the critic sees in the drawing of the scene.
 
 The response to a repair request contains only changes. The result is the response with the best
@@ -21,19 +21,17 @@ from pydantic import ValidationError
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
 from ..estimate.image.lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..estimate.tree.fit_tree import FitReport, fit_tree
-from ..estimate.tree.projection import outline_of
-from ..estimate.tree.tree_checks import SceneIssue, check_score, check_tree
-from ..estimate.tree.tree_prior import is_slab
 from ..evidence.depth_image import DepthImage
 from ..evidence.known_camera import KnownCamera, with_known_camera
 from ..evidence.known_objects import KnownObjects
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
+from .checks import SceneIssue, check_score, check_tree
 from .draw import draw_parse
 from .draw_measured import draw_measured
 from .object_schema import error_line
+from .outlines import is_slab, outline_of
 from .photo import Photo
 from .prompts import SceneCritique, correction_request, critic_request, parse_request
 from .schema import ParsedScene, to_tree
@@ -47,7 +45,7 @@ SIGMA = 3.5
 twice the gain in log-likelihood, with two degrees of freedom). Of 210 correct cameras of 70
 rendered scenes (exact, or with the noise of a response), none has an issue; with 2.5, one has."""
 LEAST_DEVIATION = math.radians(3.0)
-"""Deviation above which a camera has an issue [rad]; fit and alignment correct smaller ones."""
+"""Deviation above which a camera has an issue [rad]; the alignment corrects smaller ones."""
 CERTAIN = 2.5
 """Ratio of a deviation to its standard deviation above which the deviation counts."""
 
@@ -146,14 +144,10 @@ class SceneAttempt:
 
     response: ParsedScene
     tree: SceneTree | None
-    """Fitted tree; None if the response gives no tree."""
-    response_tree: SceneTree | None
-    """The tree before the fit."""
+    """The response's tree, with what the user knows; None if the response gives no tree."""
     broken: str = ""
     """Reason why the response gives no tree; empty if it gives one."""
     checks: tuple[SceneIssue, ...] = ()
-    """Issues of the response that the fit does not repair, with the values before the fit."""
-    fit: FitReport | None = None
     verdict: SceneCritique | None = None
 
     @property
@@ -195,8 +189,6 @@ class Parsed:
     """The result of Step 1."""
 
     tree: SceneTree
-    response_tree: SceneTree
-    """The tree before the fit."""
     picture: bytes
     """The parsed scene drawn on the photo, as PNG."""
     rounds: tuple[SceneAttempt, ...]
@@ -210,11 +202,6 @@ class Parsed:
         """Issues that remain in `tree`."""
         return self.rounds[self.best_round].open_issues
 
-    @property
-    def fit(self) -> FitReport | None:
-        """Report of the fit that gave `tree`; None if the fit is switched off."""
-        return self.rounds[self.best_round].fit
-
     def to_json(self) -> str:
         """Return all rounds as JSON."""
         rounds = [
@@ -222,7 +209,6 @@ class Parsed:
                 "answer": attempt.response.model_dump(mode="json"),
                 "broken": attempt.broken,
                 "checks": [issue.model_dump(mode="json") for issue in attempt.checks],
-                "fit": None if attempt.fit is None else attempt.fit.to_json(),
                 "verdict": None
                 if attempt.verdict is None
                 else attempt.verdict.model_dump(mode="json"),
@@ -248,7 +234,7 @@ async def parse(
     Args:
         photo: the photograph.
         models: reasoner and critic.
-        options: number of rounds, and whether to fit.
+        options: number of rounds.
         known: what is known of the camera. Its values replace those of a response, whose objects
             keep their pixels.
         depth: a depth image of the photograph's view, which models are shown if it is metric.
@@ -262,10 +248,10 @@ async def parse(
     attempts: list[SceneAttempt] = []
     measured = draw_measured(photo, known, depth)
     response = (await models.ask(parse_request(photo, known, measured, objects.names))).value
-    attempt = await fit_and_check(photo, response, options, known, objects)
+    attempt = await check_response(photo, response, known, objects)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
-            # Draw only 2D boxes. The fit does not move them, so every machine draws the same.
+            # Draw only 2D boxes, so every machine draws the same.
             drawn = draw_parse(photo, attempt.tree)
             findings = [issue.phrase() for issue in attempt.checks]
             request = critic_request(photo, attempt.response, drawn, findings)
@@ -283,59 +269,50 @@ async def parse(
         try:
             response = correction.applied(attempt.response, photo.size)
         except ValidationError as error:
-            attempt = SceneAttempt(attempt.response, None, None, error_line(error))
+            attempt = SceneAttempt(attempt.response, None, error_line(error))
             continue
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await fit_and_check(photo, response, options, known, objects, already_asked=asked)
+        attempt = await check_response(photo, response, known, objects, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
-    tree, response_tree = attempts[best].tree, attempts[best].response_tree
-    if tree is None or response_tree is None:
+    tree = attempts[best].tree
+    if tree is None:
         raise ModelError(f"no response of {len(attempts)} gave a scene: {attempts[best].broken}")
     drawn = await asyncio.to_thread(draw_parse, photo, tree, draw_3d_boxes=True)
-    return Parsed(tree, response_tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
+    return Parsed(tree, drawn.data, tuple(attempts), best, tuple(fallbacks))
 
 
-async def fit_and_check(
+async def check_response(
     photo: Photo,
     response: ParsedScene,
-    options: ParseOptions,
     known: KnownCamera | None,
     objects: KnownObjects | None = None,
     *,
     already_asked: bool = False,
 ) -> SceneAttempt:
-    """Fit a response to its 2D boxes and check it.
+    """Return the tree of a response with what the user knows, and its issues.
 
     Args:
         photo: the photograph.
         response: the response.
-        options: whether to fit.
         known: what is known of the camera.
         objects: what is known of single objects, if anything is.
         already_asked: if True, the model was already asked about the camera.
     """
     try:
-        response_tree = tree = to_tree(response, photo)
+        tree = to_tree(response, photo)
     except SpecError as error:
-        return SceneAttempt(response, None, None, str(error))
+        return SceneAttempt(response, None, str(error))
     issue = None
     if known is not None:
-        response_tree = tree = with_known_camera(tree, known)
+        tree = with_known_camera(tree, known)
     if objects is not None:
-        response_tree = tree = objects.applied(tree)
+        tree = objects.applied(tree)
     if known is None or known.pitch is None or known.roll is None:
         issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
     if issue is not None:
         # The picture contradicts the camera, so its numbers do not count as measured.
-        estimated = {"camera_measured": (), "pitch_sd": None, "height_sd": None}
-        response_tree = tree = tree.model_copy(update=estimated)
-    report, checks = None, check_tree(response_tree)
-    if options.fit:
-        tree, report = await asyncio.to_thread(fit_tree, tree, known=known)
-        remaining = {(check.node, check.code) for check in check_tree(tree)}
-        checks = tuple(check for check in checks if (check.node, check.code) in remaining)
-    if issue is not None and camera_issue(photo.rgb, tree) is not None:
-        checks = (issue, *checks)
-    return SceneAttempt(response, tree, response_tree, checks=checks, fit=report)
+        tree = tree.model_copy(update={"camera_measured": (), "pitch_sd": None, "height_sd": None})
+    checks = check_tree(tree)
+    return SceneAttempt(response, tree, checks=checks if issue is None else (issue, *checks))

@@ -1,7 +1,7 @@
 """Preview of a reasoner's response before it is given: 3D boxes on the photograph, and numbers.
 
 The response may be a whole scene, or the changes that answer a request for corrections. It is
-checked and fitted as Step 1 does, so the preview shows what the run would find.
+checked as Step 1 does, so the preview shows what the run would find.
 """
 
 import json
@@ -12,22 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config import ParseOptions
 from ..errors import SpecError
-from ..estimate.tree.projection import expected_box, outline_of
-from ..estimate.tree.tree_checks import (
-    AGREEMENT_ERROR,
-    AGREEMENT_WARNING,
-    agreement,
-    nearest_outline,
-)
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture
 from ..mllm.panel import run_coroutine
 from ..mllm.requests import InvalidResponse, read_response
 from ..spec import SceneTree, TreeNode
+from .checks import AGREEMENT_ERROR, AGREEMENT_WARNING, REACH, agreement, best_agreement
 from .draw import draw_parse
-from .parse import SceneAttempt, fit_and_check
+from .outlines import expected_box, nearest_outline, outline_of
+from .parse import check_response
 from .photo import Photo
 from .prompts import REPAIR_PROMPT
 from .schema import ParsedScene, SceneCorrection
@@ -40,10 +34,10 @@ class Preview(NamedTuple):
     """The photograph with 2D and 3D boxes; the 3D boxes are those of the response."""
     objects: list[dict[str, object]]
     """For each object, the 2D box and the nearest box of the projected outline [px], their IoU, the
-    class of the outline, the heading [deg], the gap above the support [m], and the changes by the
-    fit."""
+    best IoU within reach, the class of the outline, the heading [deg], and the gap above the
+    support [m]."""
     issues: list[str]
-    """Issues that remain after the fit, one line each. A run asks for corrections of the errors."""
+    """Issues, one line each. A run asks for corrections of the errors."""
 
 
 def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None = None) -> Preview:
@@ -58,23 +52,23 @@ def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None
     Raises:
         SpecError: the response is invalid, or gives no scene.
     """
-    attempt = run_coroutine(
-        fit_and_check(photo, _scene(photo, text, prompt), ParseOptions(), known)
-    )
-    if attempt.response_tree is None:
+    attempt = run_coroutine(check_response(photo, _scene(photo, text, prompt), known))
+    tree = attempt.tree
+    if tree is None:
         raise SpecError(f"the response gives no scene: {attempt.broken}")
-    tree = attempt.response_tree
     return Preview(
         draw_parse(photo, tree, draw_3d_boxes=True),
-        [dict(_numbers(attempt, tree, node, photo.scale)) for node in tree.nodes],
+        [dict(_numbers(tree, node, photo.scale)) for node in tree.nodes],
         [f"{issue.severity}: {issue.phrase()}" for issue in attempt.checks],
     )
 
 
 LEGEND = (
     "box_iou: intersection over union of `box` and `outline`, the box of the object's outline in "
-    f"its 3D box, as in run.json; below {AGREEMENT_WARNING:g} is a warning, below "
-    f"{AGREEMENT_ERROR:g} an error. The arrow on each base points to the front (yaw_deg)."
+    f"its 3D box, as in run.json. best_iou: the same after a move of at most {REACH:.0%} of the "
+    f"distance along and across the view, as Step 4 makes it; below {AGREEMENT_WARNING:g} is a "
+    f"warning, below {AGREEMENT_ERROR:g} an error. The arrow on each base points to the front "
+    "(yaw_deg)."
 )
 LOOSE = "loose (its shape in the 3D box is unknown, so box_iou is high: look at the picture)"
 """Class of an outline whose sides lie anywhere between the middles of faces and the 3D box."""
@@ -102,9 +96,7 @@ def _scene(photo: Photo, text: str, prompt: str) -> ParsedScene:
         raise SpecError(f"the response is invalid: {error}") from None
 
 
-def _numbers(
-    attempt: SceneAttempt, tree: SceneTree, node: TreeNode, scale: float
-) -> Iterator[tuple[str, object]]:
+def _numbers(tree: SceneTree, node: TreeNode, scale: float) -> Iterator[tuple[str, object]]:
     is_support = node.environment
     projected = expected_box(tree.camera, node) if is_support else nearest_outline(tree, node)
     yield "name", node.name
@@ -112,21 +104,13 @@ def _numbers(
     yield "outline", "outside the picture" if projected is None else _pixels(projected, scale)
     if not is_support:
         yield "box_iou", round(agreement(tree, node), 2)
+        yield "best_iou", round(best_agreement(tree, node), 2)
         outline = outline_of(node)
         yield "class", LOOSE if outline == "loose" else outline
         yield "yaw_deg", round(math.degrees(node.box3d.yaw))
     if node.parent is not None and node.relation == "on":
         box = tree.node(node.parent).box3d
         yield "gap_m", round(node.box3d.position[2] - box.position[2] - box.size[2], 3)
-    change = None if attempt.fit is None else attempt.fit.objects.get(node.name)
-    if change is not None and not node.environment:
-        if change.refused:
-            yield "fit", f"refused: {change.refused}"
-            return
-        yield "fit_moves_m", round(change.distance_m, 3)
-        yield "fit_scales", [round(ratio, 2) for ratio in change.size_ratio]
-        yield "fit_turns_deg", round(change.yaw_deg, 1)
-        yield "fit_box_iou", round(change.agreement_after, 2)
 
 
 def _pixels(box: Sequence[float] | NDArray, scale: float) -> list[int]:

@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import SpecError
-from ..io import read_model
 from ..run_folder import CAMERA_NOTE, RunFolder
 from ..spec import SceneSpec, SceneTree, read_scene
 from .edited_files import edited_objects, moves_from_tree, tree_edited
@@ -20,7 +18,6 @@ from .step_context import (
     OUTLINES,
     PHOTO,
     REFIT,
-    RESPONSE_TREE,
     SCALES,
     SPEC,
     TREE,
@@ -55,12 +52,8 @@ def compose_scene(context: StepContext) -> None:
     tree = read_tree(run, before="compose")
     specs = {node.name: run.before("compose", object_file(node.name, SPEC)) for node in tree.nodes}
     edited, by_hand = tree_edited(run), edited_objects(run, tree)
-    refits = options.refit and config.parse.fit
-    if refits and (run.path / RESPONSE_TREE).is_file() and not edited:
-        # Start from the unfitted tree: the first fit has already used the same boxes.
-        tree = _unfitted(run, tree)
     patch = read_layout_patch(run.path)
-    inputs = _inputs(context, tree, specs, patch, by_hand, refits=refits)
+    inputs = _inputs(context, tree, specs, patch, by_hand)
     with run.step("compose", inputs) as out:
         if out is not None:
             objects = {name: read_spec(path) for name, path in specs.items()}
@@ -70,8 +63,7 @@ def compose_scene(context: StepContext) -> None:
             # Objects whose programs a person edited keep their sizes, as given assets do.
             assets = kept.objects.assets | {name: objects[name] for name in by_hand}
             evidence = replace(kept, objects=kept.objects.model_copy(update={"assets": assets}))
-            used = options.model_copy(update={"refit": refits})
-            placed = place(tree, objects, evidence, used)
+            placed = place(tree, objects, evidence, options)
             if placed.by_boxes is not None:
                 _write_fit(run, placed.tree, placed.by_boxes, out)
             if placed.alignment is not None and evidence.photo is not None:
@@ -101,30 +93,16 @@ def compose_scene(context: StepContext) -> None:
     _check_composed(context)
 
 
-def _unfitted(run: RunFolder, tree: SceneTree) -> SceneTree:
-    """Return the tree of the model's response, with the sizes that Step 2 corrected."""
-    parsed = read_tree(run, before="program")
-    response = read_model(run.path / RESPONSE_TREE, SceneTree, SpecError, "a scene tree")
-    sizes = {
-        node.name: node.box3d.size
-        for node, before in zip(tree.nodes, parsed.nodes, strict=True)
-        if node.box3d.size != before.box3d.size
-    }
-    return response.with_sizes(sizes)
-
-
 def _inputs(
     context: StepContext,
     tree: SceneTree,
     specs: Mapping[str, Path],
     patch: "LayoutPatch",
     by_hand: frozenset[str],
-    *,
-    refits: bool,
 ) -> dict[str, object]:
     """Return the inputs of the step. If one of them changes, the step runs again."""
     run, config = context.run, context.config
-    inputs: dict[str, object] = {"tree": tree, "options": config.compose, "refits": refits, **specs}
+    inputs: dict[str, object] = {"tree": tree, "options": config.compose, **specs}
     inputs |= context.evidence
     if (run.path / PHOTO).is_file():
         inputs["photo"] = run.path / PHOTO

@@ -1,7 +1,7 @@
 """Files of a run that a person edited between steps, and what follows from them.
 
 An object is built from its edited program. A size that a person wrote into a program or an object
-is known: fit and alignment keep it. Positions in an edited tree are the start of the fit; where the
+is known: the alignment keeps it. Positions in an edited tree are the start of Step 4; where the
 photograph shows an object elsewhere, the run notes it.
 """
 

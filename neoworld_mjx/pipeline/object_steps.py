@@ -22,7 +22,6 @@ from .step_context import (
     PARSED_PICTURE,
     PHOTO,
     PROGRAM,
-    RESPONSE_TREE,
     ROUNDS,
     SPEC,
     TREE,
@@ -43,8 +42,6 @@ def parse_photo(context: StepContext) -> None:
     """Step 1: write tree.json, parse.json, photo.png and pictures/parse.png.
 
     If there are further photographs, a model then marks the objects in them (views/boxes.json).
-
-    The tree of the model's response, before its fit, is kept as history/response/tree.json.
     """
     from .further_photos import mark_objects
     from .given_evidence import kept_evidence, parse_inputs
@@ -77,10 +74,9 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
             )
         )
         if known.depth is not None:
-            check_distances(known.depth, parsed.response_tree)
+            check_distances(known.depth, parsed.tree)
         files: dict[str, str | bytes] = {
             TREE: parsed.tree.to_json(),
-            RESPONSE_TREE: parsed.response_tree.to_json(),
             PHOTO: to_png(photo.rgb),
             PARSED_PICTURE: parsed.picture,
             PARSED: parsed.to_json(),
@@ -88,8 +84,6 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
         write_files(out, files)
         for skipped, reason in parsed.fallbacks:
             run.fallback("parse", skipped, reason)
-        for outcome, reason in () if parsed.fit is None else parsed.fit.notes():
-            run.note("parse", outcome, reason)
 
 
 def program_objects(context: StepContext) -> None:

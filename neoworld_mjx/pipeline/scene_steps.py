@@ -23,13 +23,15 @@ from .step_context import (
     write_files,
 )
 
+NOTED_M, NOTED_SIZE = 0.10, 0.05
+"""Changes of position [m] and size (relative) by the refinement above which a note reports them."""
+
 
 def refine_layout(context: StepContext) -> None:
     """Step 5: write scene.json, and every candidate's layout and scores in refine/."""
     from ..compose.layout_patch import read_layout_patch
-    from ..estimate.tree.fit_tree import NOTED_M, NOTED_SIZE
-    from ..estimate.tree.tree_checks import agreement
     from ..measure import box_iou, object_moves, scene_checks
+    from ..parse.checks import agreement
     from .given_evidence import evidence_of_tree, kept_inputs
     from .place import refine_placed
 

@@ -15,8 +15,6 @@ from ..parse.photo import Photo
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, read_scene
 
-RESPONSE_TREE = "history/response/tree.json"
-"""Scene tree of the model's response, before its fit to the 2D boxes."""
 ANNOTATION = "annotation.json"
 """Annotation of the photograph by a person; missing if there is none."""
 GIVEN = "given.json"

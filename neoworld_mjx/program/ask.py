@@ -58,7 +58,8 @@ _ASK = """Write the program of this object.
 name: {name}
 label: {label}
 description: {description}
-box{opened}, fitted to the photo: {x:.3f} m (x, front to back) by {y:.3f} m (y) by {z:.3f} m (z, up)
+box{opened}, measured in the photo: {x:.3f} m (x, front to back) by {y:.3f} m (y) by \
+{z:.3f} m (z, up)
 moving parts seen: {moving}
 {view}{posed}{seen}
 The picture "crop" is cut out of the photo around the object; grey frames in it mark neighbouring

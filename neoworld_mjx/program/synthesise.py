@@ -1,6 +1,6 @@
 """Step 2: synthesis of an object's program from the object's crop, with debug and critic rounds.
 
-The first request states the object's box, fitted to the photograph. In debug rounds, errors of the
+The first request states the object's box in the response of Step 1. In debug rounds, errors of the
 program and of the checks are sent back to the programmer. In critic rounds, critics compare the
 crop with pictures that are rendered from the photo's view, and the faults that they find are sent
 to the programmer.

@@ -30,7 +30,7 @@ LOCK, STAGING = ".lock", ".staging"
 _OBJECT = r"objects/\w+"
 _FILES: dict[str, str] = {
     "parse": r"(tree|parse|annotation|given|known)\.json|photo\.png|pictures/parse\.png"
-    rf"|history/response/tree\.json|{_OBJECT}/spec\.json"
+    rf"|{_OBJECT}/spec\.json"
     r"|evidence/(evidence\.json|depth\.npy|confidence\.npy|masks\.png)"
     r"|views/(views\.json|boxes\.json|\d+\.png)",
     "program": rf"tree\.json|{_OBJECT}/(spec\.json|program\.json|\w+\.py)",

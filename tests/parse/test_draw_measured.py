@@ -82,7 +82,7 @@ def test_requests_without_measurements_are_unchanged():
     for request in (parse_request(photo), correction_request(photo, response, ["a"])):
         assert len(request.pictures) == 1 and "second picture" not in request.prompt
     models = ScriptedModel(copy.deepcopy(answers.desk()))
-    options = ParseOptions(critic_rounds=0, fit=False)
+    options = ParseOptions(critic_rounds=0)
     relative = DepthImage(np.ones((60, 80)), "disparity")
     asyncio.run(parse(photo, models, options, depth=relative))
     assert models.requests[0].prompt == parse_request(photo).prompt
@@ -93,7 +93,7 @@ def test_requests_without_measurements_are_unchanged():
 def test_requests_show_and_explain_the_measurements():
     photo, response = answers.photo(), ParsedScene.model_validate(answers.desk())
     models = ScriptedModel(copy.deepcopy(answers.desk()))
-    options = ParseOptions(critic_rounds=0, fit=False)
+    options = ParseOptions(critic_rounds=0)
     depth = DepthImage(np.full((60, 80), 0.7))
     asyncio.run(parse(photo, models, options, known=KNOWN, depth=depth))
     request = models.requests[0]

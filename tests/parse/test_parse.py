@@ -44,8 +44,6 @@ def test_an_accepted_response_takes_two_requests():
     assert [request.role for request in requests] == ["reasoner", "critic"]
     assert requests[1].pictures[0].pixels == requests[0].pictures[0].pixels
     assert parsed.checks == ()
-    assert parsed.fit is not None
-    assert not parsed.fit.applied
     assert parsed.picture.startswith(b"\x89PNG")
     data = json.loads(parsed.to_json())
     assert [r["kept"] for r in data["rounds"]] == [True]
@@ -117,13 +115,13 @@ def test_errors_of_the_checks_go_back_even_if_the_critic_is_content():
 def test_a_finding_that_the_critic_dismisses_costs_no_round():
     data = consistent()
     data["objects"][3]["position"]["z"] = 0.6  # The can floats.
-    kept, names, requests = run(data, GOOD | {"dismissed": [1, 2, 3, 4]}, fit=False)
+    kept, names, requests = run(data, GOOD | {"dismissed": [1, 2, 3, 4]})
     assert names == ["parse", "parse:judge"]
     assert "1. can: " in requests[1].prompt
     assert "dismissed" in requests[1].prompt
     assert kept.checks == ()
     assert kept.rounds[0].checks
-    _, names, _ = run(data, GOOD, consistent(), GOOD, fit=False)
+    _, names, _ = run(data, GOOD, consistent(), GOOD)
     assert names[2] == "parse:mend"
 
 
@@ -142,13 +140,10 @@ def test_a_failed_critic_is_a_fallback():
     assert parsed.rounds[0].verdict is None
 
 
-def test_the_fit_moves_the_tree_and_can_be_switched_off():
+def test_a_distance_that_step_4_corrects_is_kept_and_not_asked_about():
     wrong = consistent()
     wrong["objects"][2]["position"]["y"] += 0.03
-    fitted, _, _ = run(wrong, GOOD)
-    plain, _, _ = run(wrong, GOOD, fit=False)
-    assert fitted.fit.applied
-    assert fitted.fit.objects["right"].distance_m > 0.015
-    assert plain.fit is None
-    assert plain.tree.node("right").box3d.position[1] == pytest.approx(-0.12)
-    assert fitted.tree.node("right").box2d == plain.tree.node("right").box2d
+    parsed, names, _ = run(wrong, GOOD)
+    assert names == ["parse", "parse:judge"]
+    assert parsed.checks == ()
+    assert parsed.tree.node("right").box3d.position[1] == pytest.approx(-0.12)

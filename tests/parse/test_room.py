@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.estimate.tree.tree_checks import check_tree
+from neoworld_mjx.parse.checks import check_tree
 from neoworld_mjx.parse.crops import support_colours
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.schema import ParsedScene, to_tree

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.estimate.tree.tree_checks import agreement, check_tree
 from neoworld_mjx.mllm import package_text
 from neoworld_mjx.mllm.requests import InvalidResponse, read_response
+from neoworld_mjx.parse.checks import agreement, check_tree
 from neoworld_mjx.parse.object_schema import ParsedTilt
 from neoworld_mjx.parse.schema import ParsedScene, tilt_quat, to_tree
 from neoworld_mjx.spec import Camera, Cues

@@ -96,7 +96,7 @@ def test_a_run_asks_for_boxes_once_and_uses_them(tmp_path, photo, quick_config):
     out, tapes = tmp_path / "out", tmp_path / "more.tape.json"
     run = lambda until="compose", **more: reconstruct(photo, out, quick_config, until=until, **more)
     run("program")
-    tree = SceneTree.model_validate_json((out / "history/response/tree.json").read_text())
+    tree = SceneTree.model_validate_json((out / "tree.json").read_text())
     parsed = (out / "parse.json").stat().st_mtime_ns
     further = other_photo(photo, tmp_path / "b.png")
     first, view = (load_photo(file, min_side_px=MODEL_MIN_SIDE_PX) for file in (photo, further))

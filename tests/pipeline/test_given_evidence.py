@@ -230,7 +230,7 @@ def test_known_camera_is_told_to_the_model_and_replaces_its_answer():
         (camera.width, camera.height_px), focal=1.3 * camera.focal, pitch=camera.pitch + 0.1
     )
     models = ScriptedModel(data)
-    options = ParseOptions(critic_rounds=0, fit=False)
+    options = ParseOptions(critic_rounds=0)
     parsed = asyncio.run(parse(photo, models, options, known=known))
     prompt = models.requests[0].prompt
     fovy = math.degrees(2 * math.atan(camera.height_px / 2 / known.focal))

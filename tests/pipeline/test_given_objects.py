@@ -98,14 +98,13 @@ def example(tmp_path_factory, photo, quick_config):
 
 def test_known_objects_replace_programs_and_keep_sizes_and_places(example):
     out, parsed = example
-    assert (out / "tree.json").stat().st_mtime_ns != parsed  # Fitted again, not asked again.
-    assert not (out / "history" / "response" / "program.json").exists()
+    assert (out / "tree.json").stat().st_mtime_ns != parsed  # Placed again, not asked again.
     asked = {
         e["name"] for e in json.loads((out / "answers.tape.json").read_text())["answers"].values()
     }
     assert "program:saucer" in asked and not any("cup" in name for name in asked)
     assert not (out / "objects" / "cup" / "program.py").exists()
-    tree = json.loads((out / "history" / "response" / "tree.json").read_text())
+    tree = json.loads((out / "history" / "parse" / "tree.json").read_text())
     spoon = next(node for node in tree["nodes"] if node["name"] == "spoon")
     for file in ("compose/scene.json", "scene.json"):
         scene = read_scene(out / file)

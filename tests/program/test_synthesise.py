@@ -170,7 +170,7 @@ def test_an_open_part_enters_the_request_and_the_measured_box():
     closed = ScriptedModel(written(GOOD), written(GOOD))
     wrong = synthesised(closed, UNJUDGED, box3d=box)
     assert {signal.code for signal in wrong.signals} == {"proportions", "wrong_size"}
-    assert "box, fitted to the photo: " in closed.requests[0].prompt
+    assert "box, measured in the photo: " in closed.requests[0].prompt
 
 
 def test_a_revision_is_requested_with_the_picture_of_what_the_program_builds():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from neoworld_mjx.estimate.tree.projection import expected_box
+from neoworld_mjx.parse.outlines import expected_box
 from neoworld_mjx.parse.photo import Photo
 from neoworld_mjx.parse.schema import ParsedScene, to_tree
 from neoworld_mjx.spec import Box2D, SceneTree

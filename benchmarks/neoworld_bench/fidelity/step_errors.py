@@ -1,9 +1,8 @@
 """Errors of every step from a response to a refined scene, on the forty rendered scenes.
 
 Responses are the ground truth with measured errors, and programs have the true shapes, so no model
-is needed. The steps are those of a run: the response, its fit, the scene composed from the fit,
-the scene aligned with the photograph, and the refined scene; in addition the scene composed from
-the response without a fit.
+is needed. The steps are those of a run: the response, the scene composed at its 2D boxes, the scene
+aligned with the photograph, and the refined scene.
 """
 
 import math
@@ -13,10 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.compose.compose import compose
 from neoworld_mjx.config import ComposeOptions, RefineOptions
 from neoworld_mjx.errors import EngineError
-from neoworld_mjx.estimate.tree.fit_tree import fit_tree
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.measure import SceneMeasure, measured, passes, visible_box_iou
 from neoworld_mjx.physics.colliders import snap_exactly
@@ -29,16 +26,10 @@ from ..rows import Row
 from .rendered_responses import exact_response, noisy_response, upright_boxes
 from .rendered_scenes import HELD_OUT, TUNED_ON, photo_scene, photograph
 
-STEPS = ("answer", "as_answered", "fit", "composed", "aligned", "refined")
-"""Steps with errors; `as_answered` is composed from the response without a fit."""
-COMPARED = (
-    ("answer", "fit", "as_answered"),
-    ("fit", "composed", "as_answered"),
-    ("composed", "aligned", "composed"),
-    ("aligned", "refined", "composed"),
-)
-"""Steps before and after, and the scene whose invalid objects may move far. The refinement of a
-scene that was not aligned is compared with the composed one."""
+STEPS = ("response", "composed", "aligned", "refined")
+COMPARED = (("response", "composed"), ("composed", "aligned"), ("aligned", "refined"))
+"""Steps before and after. The refinement of a scene that was not aligned is compared with the
+composed one."""
 MEASURES = ("position_mm", "layout_mm", "heading_deg", "size_percent")
 WORSE = {"position_mm": 20.0, "heading_deg": 3.0, "size_percent": 3.0}
 """Growth of an error from which a step counts as having made an object worse."""
@@ -62,9 +53,9 @@ class PhotoRow(Row):
 
     scene: int
     name: str
-    unsound: dict[str, bool]
-    """True if it overlapped another object or moved in free fall, in the scene composed from the
-    response and in the one that the search starts from; it may then move far."""
+    unsound: bool
+    """True if it overlapped another object or moved in free fall in the composed scene; it may then
+    move far."""
     valid: dict[str, bool]
     """True if its scene passes the final check, by step."""
     box_iou: dict[str, float]
@@ -88,7 +79,7 @@ def photo_rows(
         scenes: numbers; none selects all forty.
         search: whether to refine the composed scenes.
         seed: of the searches.
-        compose_options: of composition; `refit` says whether it fits again.
+        compose_options: of composition; `refit` says whether it moves objects to their 2D boxes.
         refine_options: of the refinement and of the final check.
         engine: that rolls candidates out.
 
@@ -101,14 +92,10 @@ def photo_rows(
         scene = photo_scene(number)
         truth = exact_response(scene)
         shapes = {item.name: item.spec for item in scene.objects}
-        answer = noisy_response(truth, number)
-        fitted, _ = fit_tree(answer)
+        response = noisy_response(truth, number)
         picture = photograph(scene) if c.align.enabled else None
-        placed = place(answer, shapes, Evidence(picture), c)
-        stages = {
-            "as_answered": compose(answer, shapes, c).scene,
-            "composed": placed.composed.scene,
-        }
+        placed = place(response, shapes, Evidence(picture), c)
+        stages = {"composed": placed.composed.scene}
         if placed.alignment is not None:
             stages["aligned"] = placed.scene
         if runner is not None:
@@ -122,12 +109,9 @@ def photo_rows(
             for step, at in stages.items()
         }
         ious = {step: visible_box_iou(at) for step, at in stages.items()}
-        trees = {"answer": answer, "fit": fitted}
-        boxes = {step: {n.name: n.box3d for n in tree.nodes} for step, tree in trees.items()}
+        boxes = {"response": {node.name: node.box3d for node in response.nodes}}
         boxes |= {step: upright_boxes(at) for step, at in stages.items()}
-        unsound = {
-            step: _unsound(stages[step], checks[step], o) for step in ("as_answered", "composed")
-        }
+        unsound = _unsound(stages["composed"], checks["composed"], o)
         right = {node.name: node.box3d for node in truth.nodes if not node.environment}
         common = {step: _common_shift(of, right) for step, of in boxes.items()}
         for item in scene.objects:
@@ -137,7 +121,7 @@ def photo_rows(
             yield PhotoRow(
                 scene=number,
                 name=item.name,
-                unsound={step: item.name in names for step, names in unsound.items()},
+                unsound=item.name in unsound,
                 valid={step: passes(check, o) for step, check in checks.items()},
                 box_iou={step: round(of[item.name], 4) for step, of in ious.items()},
                 errors={
@@ -214,8 +198,8 @@ def _figures(rows: Sequence[PhotoRow]) -> dict[str, Any]:
         "steps": {step: _step_figures(rows, step) for step in steps},
         "valid_scenes": {step: sum(s.valid[step] for s in scenes) for step in rows[0].valid},
         "made_worse": {
-            after: [line for row in rows for line in _growths(row, before, after, excused)]
-            for before, after, excused in COMPARED
+            after: [line for row in rows for line in _growths(row, before, after)]
+            for before, after in COMPARED
             if after in steps
         },
     }
@@ -239,9 +223,9 @@ def _step_figures(rows: Sequence[PhotoRow], step: str) -> dict[str, Any]:
     return figures
 
 
-def _growths(row: PhotoRow, before: str, after: str, excused: str) -> Iterator[str]:
+def _growths(row: PhotoRow, before: str, after: str) -> Iterator[str]:
     """Yield a line for each error that a step made worse, invalid objects excepted."""
-    if row.unsound[excused]:
+    if row.unsound:
         return
     before = before if before in row.errors else "composed"
     for name, bound in WORSE.items():

@@ -1,4 +1,4 @@
-"""Initial scenes: the ground truth with the errors of responses, fitted and composed as in a run.
+"""Initial scenes: the ground truth with the errors of responses, composed as in a run.
 
 Each initial scene has different noise. Deviations and rates of the noise were measured. There are
 errors of
@@ -17,9 +17,8 @@ from functools import cached_property
 from typing import Literal
 
 from neoworld_mjx.config import AlignOptions, ComposeOptions, ParseOptions
-from neoworld_mjx.estimate.tree.fit_tree import fit_tree
-from neoworld_mjx.estimate.tree.tree_checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.parse.checks import SceneIssue, check_score, check_tree
 from neoworld_mjx.pipeline.place import LayoutEstimate, place
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
@@ -51,7 +50,7 @@ class InitialScene:
     """A noisy response with the programs' objects, from which Step 4 starts."""
 
     tree: SceneTree
-    """The response, before its fit."""
+    """The response."""
     objects: Mapping[str, ObjectSpec]
     """Object of every node, by name."""
     name: str
@@ -67,7 +66,7 @@ class InitialScene:
         evidence: Evidence | None = None,
         align: AlignOptions | None = None,
     ) -> LayoutEstimate:
-        """Fit, compose and align the scene as a run does; see `pipeline.place.place`.
+        """Compose and align the scene as a run does; see `pipeline.place.place`.
 
         Args:
             evidence: the photograph, without which the scene is not aligned, and what is known.
@@ -108,36 +107,32 @@ def initial_scene(
     if noise in ("programs", "all"):
         shapes |= wrong_shapes(scene, number, programs)
     response = tree
-    # A fit would move the objects of an exact response by up to some millimeters.
+    # Its 2D boxes would move the objects of an exact response by up to some millimeters.
     if noise == "exact":
         o = o.model_copy(update={"refit": False})
     else:
         wrong_tree = noise in ("parse", "all")
-        fitted = fitted_response(tree, number, shapes, wrong_tree=wrong_tree)
-        log.injected += fitted.log.injected
-        log.refused += fitted.log.refused
-        shapes |= fitted.shapes
-        # As in a run, Step 4 starts from the response itself unless it does not fit again.
-        response = fitted.response if o.refit else fitted.tree
+        revised = revised_response(tree, number, shapes, wrong_tree=wrong_tree)
+        log.injected += revised.log.injected
+        log.refused += revised.log.refused
+        shapes |= revised.shapes
+        response = revised.tree
     log.injected += programs.injected
     log.refused += programs.refused
     return InitialScene(response, shapes, scene.name, o)
 
 
 @dataclass(frozen=True)
-class FittedResponse:
-    """A fitted response with a list of its errors."""
+class RevisedResponse:
+    """A response with a list of its errors."""
 
-    response: SceneTree
-    """The response, before its fit."""
     tree: SceneTree
-    """Fitted tree."""
     shapes: dict[str, ObjectSpec]
     """Specs of the objects that are not in the ground truth, by name."""
     log: NoiseLog
     """Errors that are not errors of numbers."""
     issues: tuple[SceneIssue, ...]
-    """Issues of the fitted tree that the checks of Step 1 find."""
+    """Issues that the checks of Step 1 find."""
 
     @property
     def score(self) -> float:
@@ -145,10 +140,10 @@ class FittedResponse:
         return check_score(self.tree, self.issues)
 
 
-def fitted_response(
+def revised_response(
     tree: SceneTree, number: int, shapes: dict[str, ObjectSpec], *, wrong_tree: bool
-) -> FittedResponse:
-    """Return a noisy response that is revised, fitted and selected as in Step 1.
+) -> RevisedResponse:
+    """Return a noisy response that is revised and selected as in Step 1.
 
     As long as rounds remain, the boxes of objects that the checks refuse are sampled again. The
     response with the best score is returned.
@@ -176,13 +171,12 @@ def fitted_response(
 
 def _attempt(
     response: SceneTree, number: int, shapes: dict[str, ObjectSpec], wrong_tree: bool
-) -> FittedResponse:
+) -> RevisedResponse:
     log, new_shapes = NoiseLog(), dict[str, ObjectSpec]()
     if wrong_tree:
         parsed = wrong_parse(response, number, log, shapes)
         response, new_shapes = parsed.tree, parsed.shapes
-    fitted, _ = fit_tree(response)
-    return FittedResponse(response, fitted, new_shapes, log, check_tree(fitted))
+    return RevisedResponse(response, new_shapes, log, check_tree(response))
 
 
 def wrong_shapes(scene: SceneSpec, number: int, log: NoiseLog) -> dict[str, ObjectSpec]:

@@ -20,8 +20,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from neoworld_mjx.estimate.tree.projection import expected_box
-from neoworld_mjx.estimate.tree.tree_checks import SceneIssue, check_tree
+from neoworld_mjx.parse.checks import SceneIssue, check_tree
+from neoworld_mjx.parse.outlines import expected_box
 from neoworld_mjx.spec import (
     Box,
     Box2D,

@@ -14,7 +14,7 @@ from ..evidence_lines import evidence_lines
 from .page import cropped_picture, elements, read_json, size_cm, support_of
 
 TITLE = "Objects"
-BOXES, SHAPES, REFINEMENT = "fit to the boxes", "fit of the built shapes", "refinement"
+BOXES, REFINEMENT = "fit to the boxes", "refinement"
 LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
 """Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
 MARGIN = 0.12
@@ -92,21 +92,12 @@ def object_checks(verified: Mapping[str, Any]) -> list[Check]:
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the changes of each object by the two fits and the refinement, as text by step."""
-    rounds = (read_json(folder / "parse.json") or {}).get("rounds", [])
-    accepted = [entry for entry in rounds if entry.get("kept")]
-    parsed = (accepted[0].get("fit") or {}).get("objects", {}) if accepted else {}
+    """Return the changes of each object by the 2D boxes and the refinement, as text by step."""
     by_boxes = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
     moves: dict[str, dict[str, str]] = {}
-    for name, change in parsed.items():
-        text = "unchanged: the fit was rejected"
-        if not change.get("refused"):
-            ratio = math.prod(change["size_ratio"]) ** (1 / 3)
-            text = _change(change["distance_m"], ratio, change["yaw_deg"])
-        moves.setdefault(name, {})[BOXES] = text
     for name, change in by_boxes.items():
         text = _change(math.hypot(*change["shift_m"]), change["size_ratio"], change["yaw_deg"])
-        moves.setdefault(name, {})[SHAPES] = text
+        moves.setdefault(name, {})[BOXES] = text
     composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
     if composed.is_file() and refined.is_file():
         for name, move in object_moves(read_scene(composed), read_scene(refined)).items():

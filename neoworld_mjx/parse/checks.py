@@ -1,7 +1,9 @@
 """Checks of a parse that need no model: agreement with the photo, hierarchy, and sizes.
 
 `SceneTree` itself validates names, parents and the absence of cycles. Each issue states the
-measured value, the threshold, and a hint for the correction.
+measured value, the threshold, and a hint for the correction. A model estimates distances less
+accurately than pixels and sizes, and Step 4 corrects them. Therefore a projection, a gap or a
+footprint is no issue if a move of the object within `REACH` resolves it.
 
 Of two thresholds, an issue beyond `..._WARNING` is a warning, and an issue beyond `..._ERROR` is an
 error.
@@ -16,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from ...measure.boxes import (
+from ..measure.boxes import (
     footprint,
     intersection_2d,
     intersection_3d,
@@ -26,14 +28,18 @@ from ...measure.boxes import (
     support_footprint,
     upright,
 )
-from ...spec import SceneTree, TreeNode
+from ..spec import SceneTree, TreeNode
 from .categories import size_range
-from .fit_problem import nearest_boxes, outline_data
-from .projection import expected_box, outline_of
-from .sides import EDGE, hidden_sides
+from .outlines import EDGE, expected_box, hidden_sides, nearest_outline, outline_of
 
+REACH = 0.1
+"""Largest distance by which checks move an object along or across the view, relative to its
+distance from the camera."""
+PLACES, ROUNDS = 5, 3
+"""Number of distances at which a footprint is compared with its support, and number of corrections
+of a place in the picture."""
 AGREEMENT_WARNING, AGREEMENT_ERROR = 0.6, 0.35
-"""Minimum agreement of the projected 3D box with the 2D box, see `agreement`."""
+"""Minimum agreement of the projected 3D box with the 2D box, see `best_agreement`."""
 INSIDE_WARNING, INSIDE_ERROR = 0.6, 0.25
 """Minimum fraction of a child's footprint that is within its parent's footprint."""
 GAP_WARNING, GAP_ERROR = 0.15, 1.0
@@ -75,18 +81,13 @@ class SceneIssue(BaseModel):
 
 def check_tree(tree: SceneTree) -> tuple[SceneIssue, ...]:
     """Check a parse; return errors, then warnings, each in the order of the nodes."""
-    issues = [*check_objects(tree), *_pairs(tree)]
-    return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
-
-
-def check_objects(tree: SceneTree) -> Iterator[SceneIssue]:
-    """Check every node and its support; `check_tree` also checks pairs of objects."""
+    issues: list[SceneIssue] = []
     for node in tree.nodes:
-        yield from _projection(tree, node)
-        yield from _size(node)
-        yield from _flags(tree, node)
+        issues += [*_projection(tree, node), *_size(node), *_flags(tree, node)]
         if node.parent is not None:
-            yield from _support(node, tree.node(node.parent))
+            issues += _support(tree, node, tree.node(node.parent))
+    issues += _pairs(tree)
+    return tuple(sorted(issues, key=lambda issue: issue.severity != "error"))
 
 
 def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
@@ -96,25 +97,13 @@ def check_score(tree: SceneTree, issues: Sequence[SceneIssue]) -> float:
     1/3 for each warning. A camera with issues counts as another node.
     """
     objects = [node for node in tree.nodes if not node.environment] or list(tree.nodes)
-    mean_agreement = float(np.mean([agreement(tree, node) for node in objects]))
+    mean_agreement = float(np.mean([best_agreement(tree, node) for node in objects]))
     penalties = {node.name: 0.0 for node in tree.nodes}
     for issue in issues:
         cost = 1.0 if issue.severity == "error" else 1 / 3
         penalties[issue.node] = penalties.get(issue.node, 0.0) + cost
     clean = 1.0 - sum(min(value, 1.0) for value in penalties.values()) / len(penalties)
     return (mean_agreement + clean) / 2
-
-
-def nearest_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | None:
-    """Return the box of a node's projected outline that is nearest to its 2D box [px].
-
-    Returns:
-        The box (x0, y0, x1, y1), see `nearest_boxes`; None if the node is outside the picture.
-    """
-    if expected_box(tree.camera, node) is None:
-        return None
-    data = outline_data(tree, [node])
-    return nearest_boxes(data, data.initial_unknowns())[0]
 
 
 def agreement(tree: SceneTree, node: TreeNode) -> float:
@@ -124,10 +113,56 @@ def agreement(tree: SceneTree, node: TreeNode) -> float:
     may lie anywhere within the projection, and those of an object of unknown shape anywhere between
     its smallest and its largest outline.
     """
-    nearest = nearest_outline(tree, node)
-    if nearest is None or nearest[0] >= nearest[2] or nearest[1] >= nearest[3]:
+    return _overlap(nearest_outline(tree, node), node)
+
+
+def best_agreement(tree: SceneTree, node: TreeNode) -> float:
+    """Return the largest agreement of a node at places within `REACH`; see `agreement`."""
+    return _overlap(_best_outline(tree, node), node)
+
+
+def _overlap(outline: Float[np.ndarray, "4"] | None, node: TreeNode) -> float:
+    if outline is None or outline[0] >= outline[2] or outline[1] >= outline[3]:
         return 0.0
-    return iou_2d(nearest, node.box2d)
+    return iou_2d(outline, node.box2d)
+
+
+def _best_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | None:
+    """Return the outline that agrees best with a node's 2D box, among places within `REACH` [px].
+
+    The node moves across the view to where visible sides agree, and along the view to where the
+    distances between two visible sides do. Its size and heading, which may be wrong, do not change.
+
+    Returns:
+        The box (x0, y0, x1, y1); None if the node is outside the picture.
+    """
+    camera, box = tree.camera, node.box3d
+    eye, axes = camera.position(), camera.axes()
+    center = box.corners(node.base_tilt).mean(axis=0)
+    offset, depth = center - eye, float((center - eye) @ axes[:, 2])
+    hidden = hidden_sides(tree, node)
+    visible = ~hidden.reshape(2, 2).T  # Rows: horizontal and vertical. Columns: the two sides.
+    seen = np.reshape(node.box2d.as_tuple(), (2, 2)).T
+    best = outline = nearest_outline(tree, node, hidden)
+    log_distance, shift = 0.0, np.zeros(2)
+    for _ in range(ROUNDS):
+        if outline is None:
+            break
+        drawn = outline.reshape(2, 2).T
+        weights = np.where(visible.any(axis=1, keepdims=True), visible, True)
+        shift += np.average(seen - drawn, axis=1, weights=weights) / camera.focal
+        shift *= min(1.0, REACH / max(float(np.linalg.norm(shift)), 1e-9))
+        if (whole := visible.all(axis=1)).any():
+            ratios = np.ptp(drawn, axis=1)[whole] / np.ptp(seen, axis=1)[whole]
+            log_distance += float(np.log(np.maximum(ratios, 1e-3)).mean())
+            log_distance = float(np.clip(log_distance, -REACH, REACH))
+        place = eye + math.exp(log_distance) * (offset + depth * axes[:, :2] @ shift)
+        position = tuple((np.array(box.position) + place - center).tolist())
+        moved = node.model_copy(update={"box3d": box.model_copy(update={"position": position})})
+        outline = nearest_outline(tree, moved, hidden)
+        if _overlap(outline, node) > _overlap(best, node):
+            best = outline
+    return best
 
 
 def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
@@ -136,19 +171,14 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             hint = "its 3D box lies outside the picture"
             yield _issue(node, "out_of_view", 0.0, 0.0, hint, is_error=True)
         return
-    value = agreement(tree, node)
-    if value < AGREEMENT_WARNING and not _within_reading_error(tree, node):
+    outline = _best_outline(tree, node)
+    value, sides = _overlap(outline, node), np.array(node.box2d.as_tuple())
+    if outline is not None and np.all(np.abs(outline - sides) <= _edge(tree)):
+        return
+    if value < AGREEMENT_WARNING:
         hint = f"the projection of its 3D box does not match its 2D box{_mismatch(tree, node)}"
         is_error = value < AGREEMENT_ERROR
         yield _issue(node, "projection", value, AGREEMENT_WARNING, hint, is_error=is_error)
-
-
-def _within_reading_error(tree: SceneTree, node: TreeNode) -> bool:
-    """Return True if every visible side is within the reading error of the projected box."""
-    nearest = nearest_outline(tree, node)
-    if nearest is None:
-        return False
-    return bool(np.all(np.abs(nearest - np.array(node.box2d.as_tuple())) <= _edge(tree)))
 
 
 def _mismatch(tree: SceneTree, node: TreeNode) -> str:
@@ -204,7 +234,15 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
         yield _issue(node, "occluded_by", 0.0, 1.0, hint)
 
 
-def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
+def _footprints(tree: SceneTree, node: TreeNode) -> Iterator[Float[np.ndarray, "4 2"]]:
+    """Yield the footprints of an object [m] at distances within `REACH`, along the view."""
+    feet, eye = footprint(upright(node)), tree.camera.position()[:2]
+    offset = np.array(node.box3d.position[:2]) - eye
+    for factor in np.exp(REACH * np.linspace(-1, 1, PLACES)):
+        yield feet + (factor - 1) * offset
+
+
+def _support(tree: SceneTree, node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
     child, below = upright(node), upright(parent)
     if node.relation == "attached":
         size = tuple(edge + 0.04 for edge in child.size)
@@ -214,8 +252,11 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
             hint = f"it is attached to {parent.name} but does not reach it"
             yield _issue(node, "attached", 0.0, 0.0, hint, is_error=True)
         return
-    feet = footprint(child)
-    inside = polygon_intersection(support_footprint(parent), feet) / polygon_area(feet)
+    support, area = support_footprint(parent), polygon_area(footprint(child))
+    inside = max(
+        polygon_intersection(support, feet) / area
+        for feet in ([footprint(child)] if node.environment else _footprints(tree, node))
+    )
     if inside < INSIDE_WARNING:
         # An object that does not fill its box may stand on a small foot.
         is_error = inside < (0.01 if _fills_box_loosely(node) else INSIDE_ERROR)
@@ -223,7 +264,8 @@ def _support(node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
         yield _issue(node, "footprint", inside, INSIDE_WARNING, hint, is_error=is_error)
     bottom, floor = child.position[2], below.position[2]
     top = floor + below.size[2]
-    bound = max(MIN_GAP_M, GAP_WARNING * min(child.size[2], 1.0))
+    reach = 0.0 if node.environment else REACH * abs(tree.camera.height - bottom)
+    bound = max(MIN_GAP_M, GAP_WARNING * min(child.size[2], 1.0), reach)
     # An object may rest in a hollow below its support's top, but a slab supports only at its top.
     slab = parent.slab and parent.box3d.size[2] < 0.2 * min(parent.box3d.size[:2])
     gap, problem = 0.0, ""

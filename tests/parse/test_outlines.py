@@ -5,14 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neoworld_mjx.estimate.tree.categories import CATEGORIES, category_of
-from neoworld_mjx.estimate.tree.projection import (
+from neoworld_mjx.parse.categories import CATEGORIES, category_of
+from neoworld_mjx.parse.checks import agreement
+from neoworld_mjx.parse.outlines import (
+    ROUND_POINTS,
     edges_in_view,
     expected_box,
     outline_points,
+    to_world,
     visible_box,
 )
-from neoworld_mjx.spec import Box3D, Camera
+from neoworld_mjx.spec import Box2D, Box3D, Camera
 from tests.support import answers
 
 CAMERA = Camera(width=800, height_px=600, fovy=0.8, height=0.5, pitch=0.6)
@@ -117,3 +120,22 @@ def test_a_ball_projects_as_a_ball():
 )
 def test_labels_are_known_by_their_head_noun(label, word):
     assert category_of(label) == CATEGORIES[word]
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 45])
+def test_a_pot_that_is_smaller_than_its_box_agrees_with_it(yaw_deg):
+    """Two handles make the box of a pot long; at 45 degrees nothing of the pot is in its corners.
+
+    The 2D box is that of a round body with two points at the ends, which are the handles.
+    """
+    pot = answers.item(
+        "pot", (0.8, 0, 0), (0.12, 0.074, 0.04), label="cooking pot", yaw_deg=yaw_deg
+    )
+    tree = answers.exact(answers.answer(pot))
+    node = tree.node("pot")
+    body = ROUND_POINTS * [0.074 / 0.12, 1, 1]
+    points = np.concatenate([body, [(-0.5, 0, 0.8), (0.5, 0, 0.8)]])
+    pixels, _ = tree.camera.project(to_world(points, node.box3d))
+    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0)
+    seen = answers.with_node(tree, "pot", box2d=Box2D(x0=x0, y0=y0, x1=x1, y1=y1))
+    assert agreement(seen, seen.node("pot")) > 0.95
