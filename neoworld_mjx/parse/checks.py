@@ -2,8 +2,9 @@
 
 `SceneTree` itself validates names, parents and the absence of cycles. Each issue states the
 measured value, the threshold, and a hint for the correction. A model estimates distances less
-accurately than pixels and sizes, and Step 4 corrects them. Therefore a projection, a gap or a
-footprint is no issue if a move of the object within `REACH` resolves it.
+accurately than pixels and sizes, and Step 4 corrects them. Therefore a projection or a footprint is
+no issue if it is none at the place within `REACH` at which the outline agrees best with the 2D box,
+and a gap is none if a move within `REACH` closes it.
 
 Of two thresholds, an issue beyond `..._WARNING` is a warning, and an issue beyond `..._ERROR` is an
 error.
@@ -12,7 +13,7 @@ error.
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -35,9 +36,8 @@ from .outlines import EDGE, expected_box, hidden_sides, nearest_outline, outline
 REACH = 0.1
 """Largest distance by which checks move an object along or across the view, relative to its
 distance from the camera."""
-PLACES, ROUNDS = 5, 3
-"""Number of distances at which a footprint is compared with its support, and number of corrections
-of a place in the picture."""
+ROUNDS = 3
+"""Number of corrections of a place in the picture."""
 AGREEMENT_WARNING, AGREEMENT_ERROR = 0.6, 0.35
 """Minimum agreement of the projected 3D box with the 2D box, see `best_agreement`."""
 INSIDE_WARNING, INSIDE_ERROR = 0.6, 0.25
@@ -118,7 +118,7 @@ def agreement(tree: SceneTree, node: TreeNode) -> float:
 
 def best_agreement(tree: SceneTree, node: TreeNode) -> float:
     """Return the largest agreement of a node at places within `REACH`; see `agreement`."""
-    return _overlap(_best_outline(tree, node), node)
+    return _overlap(_best_place(tree, node).outline, node)
 
 
 def _overlap(outline: Float[np.ndarray, "4"] | None, node: TreeNode) -> float:
@@ -127,14 +127,18 @@ def _overlap(outline: Float[np.ndarray, "4"] | None, node: TreeNode) -> float:
     return iou_2d(outline, node.box2d)
 
 
-def _best_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | None:
-    """Return the outline that agrees best with a node's 2D box, among places within `REACH` [px].
+class _Place(NamedTuple):
+    """A place of a node, and the box of its outline there [px]; None outside the picture."""
+
+    node: TreeNode
+    outline: Float[np.ndarray, "4"] | None
+
+
+def _best_place(tree: SceneTree, node: TreeNode) -> _Place:
+    """Return a node at the place within `REACH` at which its outline agrees best with its 2D box.
 
     The node moves across the view to where visible sides agree, and along the view to where the
     distances between two visible sides do. Its size and heading, which may be wrong, do not change.
-
-    Returns:
-        The box (x0, y0, x1, y1); None if the node is outside the picture.
     """
     camera, box = tree.camera, node.box3d
     eye, axes = camera.position(), camera.axes()
@@ -143,7 +147,8 @@ def _best_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | N
     hidden = hidden_sides(tree, node)
     visible = ~hidden.reshape(2, 2).T  # Rows: horizontal and vertical. Columns: the two sides.
     seen = np.reshape(node.box2d.as_tuple(), (2, 2)).T
-    best = outline = nearest_outline(tree, node, hidden)
+    outline = nearest_outline(tree, node, hidden)
+    best = _Place(node, outline)
     log_distance, shift = 0.0, np.zeros(2)
     for _ in range(ROUNDS):
         if outline is None:
@@ -160,8 +165,8 @@ def _best_outline(tree: SceneTree, node: TreeNode) -> Float[np.ndarray, "4"] | N
         position = tuple((np.array(box.position) + place - center).tolist())
         moved = node.model_copy(update={"box3d": box.model_copy(update={"position": position})})
         outline = nearest_outline(tree, moved, hidden)
-        if _overlap(outline, node) > _overlap(best, node):
-            best = outline
+        if _overlap(outline, node) > _overlap(best.outline, node):
+            best = _Place(moved, outline)
     return best
 
 
@@ -171,7 +176,7 @@ def _projection(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
             hint = "its 3D box lies outside the picture"
             yield _issue(node, "out_of_view", 0.0, 0.0, hint, is_error=True)
         return
-    outline = _best_outline(tree, node)
+    outline = _best_place(tree, node).outline
     value, sides = _overlap(outline, node), np.array(node.box2d.as_tuple())
     if outline is not None and np.all(np.abs(outline - sides) <= _edge(tree)):
         return
@@ -234,12 +239,10 @@ def _flags(tree: SceneTree, node: TreeNode) -> Iterator[SceneIssue]:
         yield _issue(node, "occluded_by", 0.0, 1.0, hint)
 
 
-def _footprints(tree: SceneTree, node: TreeNode) -> Iterator[Float[np.ndarray, "4 2"]]:
-    """Yield the footprints of an object [m] at distances within `REACH`, along the view."""
-    feet, eye = footprint(upright(node)), tree.camera.position()[:2]
-    offset = np.array(node.box3d.position[:2]) - eye
-    for factor in np.exp(REACH * np.linspace(-1, 1, PLACES)):
-        yield feet + (factor - 1) * offset
+def _share_inside(node: TreeNode, parent: TreeNode) -> float:
+    """Return the share of an object's footprint that is within that of its support."""
+    feet = footprint(upright(node))
+    return polygon_intersection(support_footprint(parent), feet) / polygon_area(feet)
 
 
 def _support(tree: SceneTree, node: TreeNode, parent: TreeNode) -> Iterator[SceneIssue]:
@@ -252,11 +255,10 @@ def _support(tree: SceneTree, node: TreeNode, parent: TreeNode) -> Iterator[Scen
             hint = f"it is attached to {parent.name} but does not reach it"
             yield _issue(node, "attached", 0.0, 0.0, hint, is_error=True)
         return
-    support, area = support_footprint(parent), polygon_area(footprint(child))
-    inside = max(
-        polygon_intersection(support, feet) / area
-        for feet in ([footprint(child)] if node.environment else _footprints(tree, node))
-    )
+    inside = _share_inside(node, parent)
+    if inside < INSIDE_WARNING and not node.environment:
+        seen = parent if parent.environment else _best_place(tree, parent).node
+        inside = max(inside, _share_inside(_best_place(tree, node).node, seen))
     if inside < INSIDE_WARNING:
         # An object that does not fill its box may stand on a small foot.
         is_error = inside < (0.01 if _fills_box_loosely(node) else INSIDE_ERROR)
