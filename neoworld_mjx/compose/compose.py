@@ -229,6 +229,8 @@ def _place(
         depth=float(depth),
         parsed_size=node.box3d.size,
         scale_residual=residual,
+        cues=node.cues,
+        known="pose" if node.cues.kept else "size" if len(set(node.cues.known_size)) == 3 else None,
     )
 
 

@@ -74,6 +74,7 @@ def align(
     options: AlignOptions | None = None,
     *,
     measured: Collection[str] = (),
+    stated: Mapping[str, float] | None = None,
     evidence: Evidence | None = None,
     parsed: SceneSpec | None = None,
 ) -> Alignment:
@@ -87,6 +88,8 @@ def align(
         options: which unknowns are estimated, and which evidence is used.
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
             Their prior is narrower, but they still move if the contours clearly contradict them.
+        stated: standard deviations of the camera that the response states, as
+            `SceneTree.camera_deviations`.
         evidence: known camera, depth image and masks; its photograph is not used. The scene's
             camera must have the known values.
         parsed: the objects at their parsed places, about which the prior is; by default, the
@@ -103,7 +106,14 @@ def align(
     o = options or AlignOptions()
     known = evidence or Evidence()
     return _aligned(
-        scene, photo, o, STAGES, measured=frozenset(measured), evidence=known, parsed=parsed
+        scene,
+        photo,
+        o,
+        STAGES,
+        measured=frozenset(measured),
+        stated=stated,
+        evidence=known,
+        parsed=parsed,
     )
 
 
@@ -111,6 +121,7 @@ def align_to_boxes(
     scene: SceneSpec,
     *,
     measured: Collection[str] = (),
+    stated: Mapping[str, float] | None = None,
     evidence: Evidence | None = None,
 ) -> Alignment:
     """Move the camera and the objects of a composed scene to where their 2D boxes show them.
@@ -121,6 +132,7 @@ def align_to_boxes(
     Args:
         scene: the scene composed at the parsed places.
         measured: as for `align`.
+        stated: as for `align`.
         evidence: known camera, and a metric depth image from whose places the estimate starts.
 
     Returns:
@@ -143,6 +155,7 @@ def align_to_boxes(
         unknowns,
         options,
         frozenset(measured),
+        stated or {},
         None,
         Standing.of(unknowns, SceneGeoms.of(scene), parsed=True),
         known,
@@ -199,6 +212,7 @@ def _aligned(
     *,
     evidence: Evidence,
     measured: frozenset[str] = frozenset(),
+    stated: Mapping[str, float] | None = None,
     only: Collection[str] | None = None,
     parsed: SceneSpec | None = None,
 ) -> Alignment:
@@ -238,7 +252,7 @@ def _aligned(
     }
     colliders = SceneGeoms.of(scene) if o.contacts else None
     standing = None if colliders is None else Standing.of(unknowns, colliders)
-    problem = AlignmentProblem(unknowns, o, measured, colliders, standing, evidence)
+    problem = AlignmentProblem(unknowns, o, measured, stated or {}, colliders, standing, evidence)
     try:
         problem = problem.measured(unknowns_of, supports=only is None)
         x, problem = problem.start(), replace(problem, mean=problem.prior_mean(parsed))

@@ -6,6 +6,8 @@ are far off. So is that of the camera's pitch, which vertical edges can contradi
 Each pair of percentages or angles in the docstrings is the median and the 90th percentile of
 changes by a weakly regularized fit of boxes. The fit was applied to the responses for four
 photographs (61 objects). These values are upper bounds, because they include the error of the fit.
+Standard deviations that a response states (`Cues`, `SceneTree.camera_deviations`) replace them,
+within a factor of `MAX_RATIO`.
 """
 
 import math
@@ -65,6 +67,11 @@ is attached to a wall, whose height is another unknown, and of supports of the e
 TAIL_SIZE, TAIL_RISE_M = 0.15, 0.02
 """Changes of a log size and of a height above a support up to which a t distribution has heavy
 tails, if there is a depth image."""
+MAX_RATIO = 4.0
+"""Largest ratio of a standard deviation that the response states to its constant, and of the
+constant to it."""
+KNOWN_EDGE = 0.01
+"""Standard deviation of the log size of an object with an edge of standard length."""
 KNOWN = 1e-6
 """Standard deviation of an unknown whose value the user knows, in the unit of the unknown."""
 LEAST_CLEARANCE_M = 0.005
@@ -72,23 +79,36 @@ LEAST_CLEARANCE_M = 0.005
 
 
 def camera_deviations(
-    measured: Collection[str], known: Mapping[str, float], *, misjudged: bool
+    measured: Collection[str],
+    known: Mapping[str, float],
+    stated: Mapping[str, float] | None = None,
+    *,
+    misjudged: bool,
 ) -> Float[np.ndarray, " 4"]:
     """Return the standard deviations of pitch and roll [rad], log focal length and log height.
 
     Args:
         measured: camera parameters that the response measured, as in `SceneTree.camera_measured`.
         known: standard deviations of known parameters, as `KnownCamera.deviations`.
+        stated: those that the response states, as `SceneTree.camera_deviations`.
         misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
     # A measured field of view is not misjudged: none of seven responses was.
     focal = LOG_FOCAL_MISJUDGED if misjudged and "fovy" not in measured else LOG_FOCAL
     deviations = np.array([PITCH, ROLL, focal, LOG_HEIGHT])
-    deviations *= [MEASURED if name in measured else 1.0 for name in names]
+    stated = stated or {}
+    deviations *= [MEASURED if name in measured and name not in stated else 1.0 for name in names]
     known_names = ("pitch", "roll", "focal", "height")
     pairs = zip(known_names, deviations.tolist(), strict=True)
-    return np.array([known.get(name, deviation) for name, deviation in pairs])
+    return np.array([known.get(name, stated_or(stated.get(name), sd)) for name, sd in pairs])
+
+
+def stated_or(stated: float | None, constant: float) -> float:
+    """Return a stated standard deviation within `MAX_RATIO` of the constant, or the constant."""
+    if stated is None:
+        return constant
+    return min(max(stated, constant / MAX_RATIO), constant * MAX_RATIO)
 
 
 def is_misjudged(log_focal: float, deviation: float) -> bool:
@@ -143,6 +163,7 @@ def prior_precision(
     deviations: Float[np.ndarray, " 4"],
     *,
     boxes_only: bool = False,
+    pitch_known: bool = False,
 ) -> Float[np.ndarray, "v v"]:
     """Return the prior's precision matrix over the unknowns and all stretches.
 
@@ -156,11 +177,12 @@ def prior_precision(
         deviations: standard deviations of the camera's unknowns.
         boxes_only: True if the scene is at the parsed places. An object on a movable support is
             then as uncertain as any other: its support may be off, too.
+        pitch_known: True if the camera's pitch is not the response's.
     """
     precision = np.zeros((unknowns.size_with_stretches,) * 2)
     camera = np.arange(CAMERA)
     precision[camera, camera] = 1 / deviations**2
-    if deviations[TILT] >= MEASURED * PITCH:  # The pitch is a model's, and not known.
+    if not pitch_known:
         precision[TILT, TILT] = 1 / (deviations[TILT] ** 2 + x[TILT] ** 2 / FREEDOM)
     stretches = np.arange(unknowns.size, len(precision))
     precision[stretches, stretches] = 1 / LOG_STRETCH**2
@@ -170,18 +192,22 @@ def prior_precision(
         entries = x[first : first + EACH]
         distance = float(np.linalg.norm(now.pos[k] - eye))
         room = _room(unknowns, k, boxes_only=boxes_only)
-        most = np.minimum(np.array([DEPTH, ACROSS]) * distance, room)
-        whitening = unknowns.view_axes(now, k) / most[:, None]
-        yaw = YAW
+        cues = unknowns.scene.objects[k].cues
+        away, aside, in_wall = (
+            stated_or(cues.position_sd, share * distance) for share in (DEPTH, ACROSS, FASTENED)
+        )
+        whitening = unknowns.view_axes(now, k) / np.minimum([away, aside], room)[:, None]
+        yaw = stated_or(cues.yaw_sd, YAW)
+        log_size = KNOWN_EDGE if cues.known_size else stated_or(cues.size_sd, LOG_SIZE)
         if unknowns.in_wall[k].any():
             # The two axes are along the wall and up.
-            whitening = np.eye(2) / (FASTENED * distance)
+            whitening = np.eye(2) / in_wall
         if unknowns.in_wall[k].any() or unknowns.round[k]:
             yaw = FIXED_YAW
         off = whitening @ entries[:2]
         xy = slice(first, first + 2)
         precision[xy, xy] = whitening.T @ whitening / (1 + off @ off / FREEDOM)
-        for column, deviation in ((2, yaw), (3, LOG_SIZE)):
+        for column, deviation in ((2, yaw), (3, log_size)):
             # A depth image shows how large an object is, and a box or a contour may be that of
             # its visible part, so no size is far from its start.
             capped = unknowns.rises or column == 3

@@ -76,6 +76,8 @@ class AlignmentProblem:
     options: AlignOptions
     measured_camera: frozenset[str]
     """Camera parameters that the response measured."""
+    stated_camera: Mapping[str, float]
+    """Standard deviations that the response states, as `SceneTree.camera_deviations`."""
     colliders: SceneGeoms | None
     """Collision geoms of the scene; None if objects may overlap."""
     standing: Standing | None
@@ -248,7 +250,12 @@ class AlignmentProblem:
         equations = NormalEquations(
             unknowns,
             prior_precision(
-                unknowns, now, x - mean, self.camera_deviations(), boxes_only=self.boxes_only
+                unknowns,
+                now,
+                x - mean,
+                self.camera_deviations(),
+                boxes_only=self.boxes_only,
+                pitch_known="pitch" in self.known_camera(),
             ),
             x,
             mean=mean,
@@ -331,10 +338,14 @@ class AlignmentProblem:
 
     def camera_deviations(self) -> Float[np.ndarray, " 4"]:
         """Return the prior standard deviations of the camera's unknowns."""
+        known, stated = self.known_camera(), self.stated_camera
+        return camera_deviations(self.measured_camera, known, stated, misjudged=self.misjudged)
+
+    def known_camera(self) -> dict[str, float]:
+        """Return the standard deviations of what the user or a measured plane determines."""
         known = {} if self.plane is None else PLANE_DEVIATIONS
-        if self.evidence.camera is not None:
-            known = known | self.evidence.camera.deviations()
-        return camera_deviations(self.measured_camera, known, misjudged=self.misjudged)
+        given = {} if self.evidence.camera is None else self.evidence.camera.deviations()
+        return known | given
 
     def refused(
         self,

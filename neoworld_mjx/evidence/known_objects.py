@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..errors import EvidenceError, choices
-from ..spec import ObjectSpec, SceneSpec, SceneTree, Spec, TreeNode, bounds
+from ..spec import ObjectSpec, SceneTree, Spec, TreeNode, bounds
 from ..spec.base import Length, Name
 from ..spec.opening import parsed_state
 
@@ -104,17 +104,6 @@ class KnownObjects(Spec):
                 node = node.model_copy(update={"cues": cues})
             nodes.append(node)
         return tree.model_copy(update={"nodes": tuple(nodes)})
-
-    def marked(self, scene: SceneSpec) -> SceneSpec:
-        """Return a composed scene that states for each object what is known of it."""
-        if not self.names:
-            return scene
-        kept = dict.fromkeys(self.keep, "pose")
-        known = dict.fromkeys((*self.assets, *self.sizes), "size") | kept
-        objects = tuple(
-            item.model_copy(update={"known": known.get(item.name)}) for item in scene.objects
-        )
-        return scene.model_copy(update={"objects": objects})
 
     def lines(self) -> dict[str, str]:
         """Return a line on each kind of known thing, by its key in an evidence file."""

@@ -74,10 +74,12 @@ def place(
     if known is not None:
         tree = with_known_camera(tree, known)
     tree, by_boxes = evidence.objects.applied(tree, objects), None
-    parsed = None
+    parsed, stated = None, tree.camera_deviations
     if options.refit and evidence.boxes:
-        parsed = evidence.objects.marked(as_parsed(tree, objects))
-        by_boxes = align_to_boxes(parsed, measured=tree.camera_measured, evidence=evidence)
+        parsed = as_parsed(tree, objects)
+        by_boxes = align_to_boxes(
+            parsed, measured=tree.camera_measured, stated=stated, evidence=evidence
+        )
         tree = moved_tree(tree, parsed, by_boxes.scene)
         tree = evidence.objects.applied(tree, objects)
     composed = _composed(tree, objects, evidence, options, name)
@@ -89,6 +91,7 @@ def place(
         photo=evidence.photo,
         options=options.align,
         measured=tree.camera_measured,
+        stated=stated,
         evidence=evidence,
         parsed=parsed,
     )
@@ -106,8 +109,7 @@ def _composed(
 ) -> Composed:
     """Compose the scene; drop boxes and a camera that are no evidence."""
     composed = compose(tree, objects, options, name=name)
-    scene = evidence.objects.marked(_with_kept(composed.scene, tree, evidence))
-    composed = dataclasses.replace(composed, scene=scene)
+    composed = dataclasses.replace(composed, scene=_with_kept(composed.scene, tree, evidence))
     if evidence.boxes:
         return composed
     bare = tuple(item.model_copy(update={"box2d": None}) for item in composed.scene.objects)

@@ -25,7 +25,7 @@ from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
 from .room import Share
 from .scale import scale, scaled_state
-from .tree import Box2D, Relation
+from .tree import Box2D, Cues, Relation
 
 WORLD_POSES = "world_poses"
 """Key in a written scene: origin [m] and rotation (w, x, y, z) of each object in the world."""
@@ -83,6 +83,8 @@ class SceneObject(Spec):
     """Edge lengths of the parsed 3D box [m]."""
     scale_residual: Vec3 | None = None
     """Object size divided by parsed size, minus 1, per axis, after isotropic rescaling."""
+    cues: Cues = Field(default=Cues(), exclude_if=lambda value: value == Cues())
+    """Stated deviations of the parsed values, and what else the parse states for the estimate."""
     uncertainty: PoseUncertainty | None = None
     """Uncertainty that remains after alignment with the photograph; None if not aligned."""
     known: Literal["size", "pose"] | None = Field(

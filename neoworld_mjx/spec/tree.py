@@ -106,7 +106,8 @@ class Cues(Spec):
 
     contact: tuple[Number, Number] | None = None
     """Pixel of the original image (x to the right, y down) at which the visible contact with the
-    support is nearest to the camera; None if no contact is visible."""
+    support is nearest to the camera; None if no contact is visible. The estimate does not use
+    it."""
     cut_sides: tuple[Literal["left", "top", "right", "bottom"], ...] | None = None
     """Sides of `box2d` beyond which the object continues, either occluded or outside the image;
     None if not stated."""
@@ -224,6 +225,12 @@ class SceneTree(Spec):
         if looped is not None:
             raise ValueError(f"nodes form a cycle through {looped}")
         return self
+
+    @property
+    def camera_deviations(self) -> dict[str, float]:
+        """Standard deviations of pitch [rad] and log height, those that the parse states."""
+        stated = {"pitch": self.pitch_sd, "height": self.height_sd}
+        return {name: value for name, value in stated.items() if value is not None}
 
     def with_sizes(self, sizes: Mapping[str, Vec3]) -> "SceneTree":
         """Return the tree with other sizes of the 3D boxes of some nodes, by name [m]."""
