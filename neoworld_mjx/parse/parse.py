@@ -311,8 +311,9 @@ async def check_response(
         tree = objects.applied(tree)
     if known is None or known.pitch is None or known.roll is None:
         issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
-    if issue is not None:
-        # The picture contradicts the camera, so its numbers do not count as measured.
+    if issue is not None and not already_asked:
+        # The picture contradicts the camera, so its numbers do not count as measured, unless the
+        # model measures them again and insists: edges that look vertical need not be.
         tree = tree.model_copy(update={"camera_measured": (), "pitch_sd": None, "height_sd": None})
     checks = check_tree(tree)
     return SceneAttempt(response, tree, checks=checks if issue is None else (issue, *checks))

@@ -141,10 +141,11 @@ def test_the_model_is_asked_once():
     assert parsed.best_round == 1
     assert parsed.checks == ()
     # A model that insists is not asked again, although a second round is left.
-    same = {"camera": {**wrong["camera"], "height": 0.6}}
+    same = {"camera": {**wrong["camera"], "height": 0.6, "measured": ["fovy_deg"]}}
     parsed, names, _ = run(wrong, GOOD, same, GOOD, photo=photo, critic_rounds=2)
     assert names == ["parse", "parse:judge", "parse:mend", "parse:judge"]
     assert [issue.severity for issue in parsed.rounds[1].checks] == ["warning"]
+    assert parsed.rounds[1].tree.camera_measured == ("fovy",)
 
 
 @pytest.mark.parametrize("right", [True, False])

@@ -7,7 +7,7 @@ from ..image.rasterize import DrawnObjects, pixels_of, window_of
 from ..unknowns import Placement, Unknowns
 from .linear import REFERENCE_PX, LinearEvidence, image_jacobian
 
-BOX_PX, BOX = 3.0, 0.01
+BOX_PX, BOX = 2.0, 0.01
 """Standard deviation of a side of a parsed 2D box: a constant [px], plus a share of the box's
 size."""
 BOX_OUTLYING = 3.0
