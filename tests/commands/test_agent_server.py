@@ -271,7 +271,10 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
             while (request := await coffee.next())[0] is not None:
                 await coffee.call("submit", id=request[0], response={"verdict": "sound"})
             assert "finished" in request[1]
-            assert await on_saucer() == pytest.approx((x, y + 0.003, yaw + 3), abs=2e-4)
+            *xy, turned = await on_saucer()
+            # Both are printed, with four and two decimals.
+            assert xy == pytest.approx((x, y + 0.003), abs=2e-4)
+            assert turned == pytest.approx(yaw + 3, abs=0.02)
             assert json.loads((cup / "spec.json").read_text())["label"] == "changed"
             # An edit returns its result, and undo takes back one edit after the other.
             done, _ = await coffee.call("edit", object="cup", turn_deg=5, wait_s=300)
