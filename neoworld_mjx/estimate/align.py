@@ -296,8 +296,10 @@ def _solution(
     equations, drawn = problem.linearized(x, images[last.width], last, reasons)
     x = equations.solved()
     contradicted: frozenset[int] = frozenset()
+    # Colors may contradict what a network says of depth, but not what a sensor measures.
+    depth = problem.evidence.depth
     sources: tuple[Source, ...] = ("contour", "depth")
-    for source in sources if problem.evidence.depth is not None else sources[:1]:
+    for source in sources if depth is not None and depth.kind != "metric" else sources[:1]:
         image = images[last.width][0]
         refused = () if image is None else problem.refused(equations, drawn, image.bins, source)
         if not refused:

@@ -251,6 +251,16 @@ def test_depth_of_something_else_is_not_taken_for_an_object(five, photo):
     assert desk.distances(aligned.scene, five)["box"] < 10.0
 
 
+def test_colors_do_not_overrule_a_sensor(five):
+    """The photograph shows the can at another place than the sensor."""
+    picture = desk.photograph(desk.displaced(five, can=(60.0, 40.0, 0.0, 0.0)))
+    moved = desk.displaced(five, can=(25.0, 15.0, 0.0, 0.0))
+    image = DepthImage(depth_of(five))
+    aligned = align(moved, picture, evidence=Evidence(camera=KNOWN, depth=image))
+    assert not any(found.depth.refused for found in aligned.objects.values())
+    assert desk.distances(aligned.scene, five)["can"] < desk.distances(moved, five)["can"] / 2
+
+
 def test_object_far_off_starts_from_its_box(five):
     """Drawn where the photograph shows something else, it is found by its 2D box."""
     moved = desk.displaced(desk.boxed(five), box=(150.0, -120.0, 0.0, 10.0))
