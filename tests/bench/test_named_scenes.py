@@ -5,10 +5,8 @@ from pathlib import Path
 import pytest
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.sweeps import case
 from neoworld_mjx.sweeps.plan import Ablation, Plan, points, read_plan
-from tests.support.scenes import compile_scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PLANS = sorted(CONFIGS.glob("*/*.yaml"))
@@ -33,8 +31,7 @@ def test_unknown_names_are_refused(name, message):
 @pytest.mark.slow
 def test_bench_scene_is_an_initial_scene_with_errors_against_the_ground_truth():
     result = case("bench:tents")
-    model = compile_scene(result.scene)
-    errors = result.errors(model, Layout.zero(1, len(model.names)))
+    errors = result.errors(result.scene)
     assert result.scene.camera is not None and result.start is None
     assert set(errors) == {"xy_m", "yaw_deg", "scale"} and errors["xy_m"] > 1e-3
     assert case("bench:tents@all").scene == result.scene
