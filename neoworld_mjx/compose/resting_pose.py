@@ -61,10 +61,12 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     lowest = _lowest_points(spec, state)
     parsed = rotate(conjugate(np.array(tilt)), np.array([0.0, 0.0, -1.0]))
     down, step = parsed, _FIRST_STEP_RAD
-    size = np.subtract(*bounds(spec, state)[::-1])
-    ball = np.ptp(size) < BALL_EXTENT * size.max()
-    if ball:
-        down = min(sphere_directions(), key=lambda d: float((lowest(d) @ d).max()))
+    ball = False
+    if np.ptp(size := np.subtract(*bounds(spec, state)[::-1])) < BALL_EXTENT * size.max():
+        directions = sphere_directions()
+        heights = np.array([float((lowest(d) @ d).max()) for d in directions])
+        ball = bool(np.ptp(heights) < BALL_EXTENT * size.max())  # A cube is none.
+        down = directions[int(np.argmin(heights))] if ball else down
     best_height = float((lowest(down) @ down).max())
     known_points = np.vstack(
         [lowest(direction) for direction in (down, *_tilted_directions(down, step))]

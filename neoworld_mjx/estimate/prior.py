@@ -11,7 +11,7 @@ within a factor of `MAX_RATIO`.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -50,8 +50,8 @@ MEASURED = 0.5
 """Factor that multiplies the standard deviations of camera parameters that the response
 measured."""
 FALSE_EDGES = 0.15
-"""Share of photographs in which the edges that look vertical are not: one of the twelve with such
-edges."""
+"""Share of photographs in which the edges that look vertical are not: assumed; one of the twelve
+with such edges that were looked at."""
 LOG_STRETCH = 0.03
 """Standard deviation of the log stretch of a program's shape along an axis. The contours of a wrong
 shape contradict one another. Without these nuisance unknowns, the layout and the camera would
@@ -94,7 +94,7 @@ def camera_deviations(
         misjudged: True if the field of view is or may be misjudged.
     """
     names = ("pitch", "roll", "fovy", "height")
-    # A measured field of view is not misjudged: none of seven responses was.
+    # A measured field of view is not misjudged: two whose camera is known were within .6 degrees.
     focal = LOG_FOCAL_MISJUDGED if misjudged and "fovy" not in measured else LOG_FOCAL
     deviations = np.array([PITCH, ROLL, focal, LOG_HEIGHT])
     stated = stated or {}
@@ -132,7 +132,7 @@ def is_misjudged(log_focal: float, deviation: float) -> bool:
 def edges_mislead(
     residual: Float[np.ndarray, " n"],
     jacobian: Float[np.ndarray, "n 4"],
-    deviations: Sequence[Float[np.ndarray, " 4"]],
+    deviations: Float[np.ndarray, " 4"],
     spans: Float[np.ndarray, " n"],
 ) -> bool:
     """Return whether the edges of a photograph are more probably not vertical than vertical.
@@ -143,16 +143,12 @@ def edges_mislead(
     Args:
         residual: estimate by the edges minus the prior camera, in standard deviations.
         jacobian: its derivatives with respect to the unknowns of the camera.
-        deviations: prior standard deviations of the camera if the field of view is not misjudged,
-            and if it is.
+        deviations: prior standard deviations of the camera, which is known or measured.
         spans: widths of the searched range, in standard deviations.
     """
-    vertical = 0.0
-    for share, deviation in zip((1 - MISJUDGED, MISJUDGED), deviations, strict=True):
-        spread = np.eye(len(residual)) + jacobian * deviation**2 @ jacobian.T
-        squared = residual @ np.linalg.solve(spread, residual)
-        scale = math.sqrt(np.linalg.det(2 * math.pi * spread))
-        vertical += share * math.exp(-squared / 2) / scale
+    spread = np.eye(len(residual)) + jacobian * deviations**2 @ jacobian.T
+    squared = float(residual @ np.linalg.solve(spread, residual))
+    vertical = math.exp(-squared / 2) / math.sqrt(np.linalg.det(2 * math.pi * spread))
     return FALSE_EDGES / float(np.prod(spans)) > (1 - FALSE_EDGES) * vertical
 
 

@@ -324,16 +324,20 @@ class AlignmentProblem:
     ) -> "AlignmentProblem":
         """Return the problem with the vertical edges of a photograph, found with the camera at `x`.
 
-        Without edges, and if they probably mislead, it has none.
+        Without edges, it has none; neither if they probably mislead, which only a camera shows
+        whose pitch and field of view are known or measured: any other may be far off.
         """
-        edges = edges_of_photo(self.unknowns, x, photo)
-        if edges is None:
-            return replace(self, edges=None)
+        edges, known = edges_of_photo(self.unknowns, x, photo), self.known_camera()
+        sure = all(
+            name in known or parameter in self.measured_camera
+            for name, parameter in (("pitch", "pitch"), ("focal", "fovy"))
+        )
+        if edges is None or not sure:
+            return replace(self, edges=edges)
         mean = np.zeros_like(x) if self.mean is None else self.mean
-        deviations = [replace(self, misjudged=m).camera_deviations() for m in (False, True)]
         spans = 2 * np.array([PITCH_RANGE, ROLL_RANGE]) / edge_deviations(edges)
         rows = linearized_edges(edges, self.unknowns, mean)
-        misled = edges_mislead(*rows, deviations, spans)
+        misled = edges_mislead(*rows, self.camera_deviations(), spans)
         return replace(self, edges=None if misled else edges, misleading_edges=misled)
 
     def camera_deviations(self) -> Float[np.ndarray, " 4"]:

@@ -331,6 +331,15 @@ def test_an_almost_round_fruit_rests_where_it_is_seen():
     assert unstable_objects(result.scene, scene_measure(result.scene)) == ()
 
 
+@pytest.mark.parametrize("axis", [(0, 1, 0), (1, 0, 0), (0, -1, 0), (-1, 0, 0)])
+def test_a_tilted_cube_settles_on_its_nearest_face(axis):
+    """Its extents are those of a ball, but it shows how it lies."""
+    cube = scenes.single("cube", (Box(size=(0.05, 0.05, 0.05)), (0, 0, 0.025)))
+    tilt = tuple(from_axis_angle(axis, math.radians(75)).tolist())
+    turned = resting_tilt(cube, {}, tilt)
+    assert math.degrees(angle_between(turned, tilt)) == pytest.approx(15, abs=0.1)
+
+
 @pytest.mark.parametrize("side", [0.035, 0.2])
 def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
