@@ -1,4 +1,4 @@
-"""What a response states of its own errors: deviations of objects and camera, and known edges."""
+"""Deviations of objects and camera that a response states, and known edges, in the prior."""
 
 import math
 
