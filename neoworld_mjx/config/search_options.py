@@ -5,6 +5,9 @@ from typing import Literal
 from ..engines import ENGINES_HELP, EngineChoice
 from ..options import Options, PaperDifference, option
 
+NARROW = "A search varies what the photograph leaves open, not what it shows exactly."
+"""Reason for deviations of the estimate in place of the paper's."""
+
 
 class CEMOptions(Options):
     """Options of the Cross-Entropy Method (Algorithm 1 and Appendix B of the paper)."""
@@ -17,17 +20,28 @@ class CEMOptions(Options):
         gt=0,
         le=1,
     )
-    sigma_xy: float = option(
-        0.05,
-        "Initial standard deviation of x and y.",
+    sigma_xy: float | None = option(
+        None,
+        "Initial standard deviation of x and y. The default is that of the estimate, at most 0.05; "
+        "0.05 for objects that were not aligned with the photograph.",
         unit="the object's horizontal bounding-box diagonal",
         ge=0,
+        difference=PaperDifference(0.05, NARROW),
     )
-    sigma_yaw_deg: float = option(
-        15.0, "Initial standard deviation of the yaw angle.", unit="deg", ge=0
+    sigma_yaw_deg: float | None = option(
+        None,
+        "Initial standard deviation of the yaw angle. The default is that of the estimate, at most "
+        "15; 15 for objects that were not aligned.",
+        unit="deg",
+        ge=0,
+        difference=PaperDifference(15.0, NARROW),
     )
-    sigma_log_scale: float = option(
-        0.1, "Initial standard deviation of the logarithm of the scale.", ge=0
+    sigma_log_scale: float | None = option(
+        None,
+        "Initial standard deviation of the logarithm of the scale. The default is that of the "
+        "estimate, at most 0.1; 0.1 for objects that were not aligned.",
+        ge=0,
+        difference=PaperDifference(0.1, NARROW),
     )
     hold_resting: bool = option(
         True,

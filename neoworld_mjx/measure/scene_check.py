@@ -53,6 +53,8 @@ class SceneMeasure(Spec):
     """Largest rotation of each turning joint "object-joint"."""
     duration_s: float
     diverged: bool = False
+    held: tuple[str, ...] = ()
+    """Names of the objects that were fixed in their places, since they do not rest there."""
     displacement: dict[str, float] | None = None
     """Displacement of each movable object by settling from the pose at which it was placed,
     relative to its limit (`physics.placed.settling_displacement`); None for a scene that was
@@ -137,6 +139,7 @@ def measures_of(
                 joint_turn_deg=by_name(joints[~slides], np.degrees(joint[~slides])),
                 duration_s=duration,
                 diverged=diverged,
+                held=tuple(item.name for item in world.spec.objects if item.held),
             )
         )
     return measures
@@ -187,6 +190,10 @@ SETTLED_AWAY = "settled_away"
 """Name of the check that no object settled away from the pose at which it was placed."""
 
 
+HELD = "held"
+"""Name of the check that no object is held; it is made if one is."""
+
+
 class SceneCheck(Spec):
     """One measure of a scene and its bound."""
 
@@ -208,6 +215,8 @@ class SceneCheck(Spec):
         """Return one line, such as "mug: tilt 12.3 degrees, at most 5.0 degrees"."""
         where = self.where.replace("|", " and ") or "scene"
         more = f" (and {len(self.failing) - 1} more)" if len(self.failing) > 1 else ""
+        if self.name == HELD:
+            return f"{where}{more}: {self.quantity}"
         value, bound = (format_quantity(v, self.unit) for v in (self.value, self.threshold))
         return f"{where}{more}: {self.quantity} {value}, at most {bound}"
 
@@ -249,8 +258,9 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
     """Compare every measure with its bound.
 
     Sliding joints are compared with the bound of translation, and turning joints with the bound of
-    rotation. A settled scene is also compared with the poses at which its objects were placed. If
-    the simulation diverged, every check of a motion and of the final depth fails.
+    rotation. A settled scene is also compared with the poses at which its objects were placed. A
+    scene with held objects fails. If the simulation diverged, every check of a motion and of the
+    final depth fails.
     """
     depth, drift, tilt = o.max_depth_m, o.max_drift_m, o.max_tilt_deg
     m, slide, turn = measure, measure.joint_slide_m, measure.joint_turn_deg
@@ -273,6 +283,11 @@ def scene_checks(measure: SceneMeasure, o: RefineOptions) -> tuple[SceneCheck, .
                 "of the limit",
                 moved,
             )
+        )
+    if m.held:
+        names = dict.fromkeys(m.held, 1.0)
+        rows.append(
+            (HELD, "fixed in place, since it does not rest there", len(names), 0.0, "", names)
         )
     checks = []
     for name, quantity, value, threshold, unit, values in rows:

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import mujoco
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from neoworld_kernels import sorted_samples
 
 from ..cache import free_memory_maps
@@ -22,7 +22,7 @@ from ..spec.scale import joint_exponents
 from .colliders import collect_colliders
 from .layout import Arrangement, Layout, Poses, arrange, compose_poses, diagonal, frames
 from .mjcf import body_name, object_of_body, to_mjspec
-from .photo_view import photo_view
+from .photo_view import photo_deviations, photo_view
 from .sampling import extreme_points, is_round, surface_samples
 from .scene_arrays import SceneArrays, on_device, snapped_heights
 
@@ -285,6 +285,7 @@ def compile_scene(
         optimised=optimised,
         resized=optimised & np.array([item.known is None for item in scene.objects]),
         movable=static.movable,
+        deviations=_deviations(scene),
         diagonal=np.array([diagonal(item) for item in scene.objects]),
         corners=static.corners,
         pair_mask=~np.eye(len(static.names), dtype=bool) & ~(environment[:, None] & environment),
@@ -292,6 +293,12 @@ def compile_scene(
         joint_slides=static.joint_slides,
     )
     return SceneModel(**vars(on_device(arrays)), static=static)
+
+
+def _deviations(scene: SceneSpec) -> Float[np.ndarray, "object 4"]:
+    """Return `SceneArrays.deviations`."""
+    axes, others = photo_deviations(scene)
+    return np.concatenate([np.linalg.norm(axes, axis=2), others], axis=1)
 
 
 def is_optimised(scene: SceneSpec) -> Bool[np.ndarray, " object"]:

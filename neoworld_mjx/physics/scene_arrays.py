@@ -46,6 +46,9 @@ class SceneArrays(eqx.Module):
     """True for objects whose size the search changes."""
     movable: Bool[AnyArray, " object"]
     """True for objects whose base is free."""
+    deviations: Float[AnyArray, "object 4"]
+    """Standard deviations that the photograph leaves: of x and y in the frame of the support [m],
+    of the yaw [rad] and of the log scale. Zeros for objects that were not aligned."""
     diagonal: Float[AnyArray, " object"]
     """Horizontal bounding-box diagonal [m]."""
     corners: Float[AnyArray, "object 8 3"]
@@ -141,7 +144,9 @@ def pad_scene(scene: SceneArrays) -> SceneArrays:
         pair_mask=pair_mask,
         joint_object=pad_axis(scene.joint_object, b.joints, n - 1),
         joint_slides=pad_axis(scene.joint_slides, b.joints),
-        **pad(scene, "samples", "outline", "round", "optimised", "resized", "movable"),
+        **pad(
+            scene, "samples", "outline", "round", "optimised", "resized", "movable", "deviations"
+        ),
         **pad(scene, "diagonal", "corners"),
     )
     return on_device(padded)

@@ -15,6 +15,8 @@ from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
+PAPER = np.array([0.05, 0.05, np.radians(15.0), 0.1])
+"""Initial standard deviations of x, y, yaw and log scale in Appendix B."""
 PLATE_THICKNESS = 0.3
 """A box is a plate if its thickness is less than this fraction of its second-shortest side."""
 
@@ -127,19 +129,28 @@ def elite_rows(
 def initial_sigma(scene: SceneArrays, options: CEMOptions) -> Layout:
     """Return the initial standard deviations, with a population axis of length 1 (Appendix B).
 
-    `sigma_xy` is a fraction of each object's horizontal bounding-box diagonal. The standard
-    deviations of environment supports, and of known poses and sizes, are zero. Objects attached to
-    an upright plate, such as a wall, move only along the plate and do not turn.
+    A stated deviation holds for all objects. By default, the deviations of an object are those of
+    the estimate, so that a search varies what the photograph leaves open, and at most `PAPER`; and
+    `PAPER` for an object that was not aligned. Those of x and y are relative to the horizontal
+    bounding-box diagonal. The standard deviations of environment supports, and of known poses and
+    sizes, are zero. Objects attached to an upright plate, such as a wall, move only along the plate
+    and do not turn.
     """
-    moves = np.asarray(scene.optimised).astype(np.float32)
-    xy = options.sigma_xy * np.asarray(scene.diagonal) * moves
+    diagonal, estimated = np.asarray(scene.diagonal), np.array(scene.deviations)
+    in_diagonals = np.stack([diagonal, diagonal, *np.ones((2, len(diagonal)))], axis=1)
+    yaw = None if options.sigma_yaw_deg is None else np.radians(options.sigma_yaw_deg)
+    stated = (options.sigma_xy, options.sigma_xy, yaw, options.sigma_log_scale)
+    estimated[~estimated.any(axis=1)] = np.inf
+    sigma = np.minimum(estimated, PAPER * in_diagonals)
+    for axis, value in enumerate(stated):
+        if value is not None:
+            sigma[:, axis] = value * in_diagonals[:, axis]
     fixed = _fixed_axes(scene)
-    sigma = Layout(
-        (xy[:, None] * ~fixed)[None],
-        (np.radians(options.sigma_yaw_deg) * moves * ~fixed.any(axis=1))[None],
-        (options.sigma_log_scale * np.asarray(scene.resized).astype(np.float32))[None],
-    )
-    return on_device(sigma)
+    sigma *= np.asarray(scene.optimised)[:, None]
+    sigma[:, :2] *= ~fixed
+    sigma[:, 2] *= ~fixed.any(axis=1)
+    sigma[:, 3] *= np.asarray(scene.resized)
+    return on_device(Layout(sigma[None, :, :2], sigma[None, :, 2], sigma[None, :, 3]))
 
 
 def _fixed_axes(scene: SceneArrays) -> Bool[np.ndarray, "object 2"]:

@@ -12,11 +12,11 @@ from ..config import RefineOptions
 from ..measure import SceneMeasure, passes, rest_and_measure, resting
 from ..physics.colliders import snap_exactly
 from ..physics.layout import Layout
-from ..physics.model import CompiledScene, SceneModel
+from ..physics.model import CompiledScene, SceneModel, compile_for_simulation
 from ..physics.native import NativeEngine
 from ..physics.rest import settle
 from ..progress import update
-from ..spec import SceneSpec
+from ..spec import SceneObject, SceneSpec
 from .evaluation import Round
 
 RELEASES = 2
@@ -128,10 +128,9 @@ def choose_winner(
 ) -> Winner:
     """Choose the first candidate in the order of `rank_candidates` that passes the final check.
 
-    By default, the final check uses a smaller time step than a rollout and simulates longer. Of the
-    first `finalists` candidates, if none passes, the one in whose final scene the fewest objects
-    fail wins. With settling, the initial layout takes part in this comparison, so a search never
-    makes a scene worse. Without settling, only candidates are compared, as in Algorithm 1.
+    By default, the final check uses a smaller time step than a rollout and simulates longer. If
+    none of the first `finalists` candidates passes, the initial layout wins; without settling, the
+    first candidate, as in Algorithm 1.
 
     Args:
         world: the compiled scene, in which all objects are free.
@@ -141,20 +140,60 @@ def choose_winner(
         initial: the final scene of the initial layout.
     """
     ranked = rank_candidates(rounds)
-    unmoved = Winner(INITIAL, Layout.zero(1, len(world.names)), initial, 0)
-    best = unmoved if o.settle.enabled or not ranked else None
-    failing = lambda finished: int(np.sum(~finished.rests(o)))
     tries = min(o.finalists, len(ranked))
+    unmoved = Winner(INITIAL, Layout.zero(1, len(world.names)), initial, tries)
+    best = unmoved if o.settle.enabled or not ranked else None
     for tried, (t, k) in enumerate(ranked[:tries], 1):
         update(done=tried, of=tries, unit="final check", rate=None, left_s=None)
         finished = finish(world, searched, rounds[t], k, o)
         winner = Winner((t, k), rounds[t].layouts[k : k + 1], finished, tried)
         if finished.passed:
             return winner
-        if best is None or failing(finished) < failing(best.finished):
-            best = winner
+        best = best or winner
     assert best is not None
     return best._replace(tried=tries)
+
+
+def hold_failing(composed: SceneSpec, finished: Finished, o: RefineOptions) -> Finished:
+    """Hold the objects that do not rest where the photograph shows them, and settle the others.
+
+    An object that lacks its support, because the response does not have it, would otherwise lie
+    somewhere on the ground, and its neighbors with it. Of an object that fails and others that it
+    carries, it alone is held at first, since they may rest on it then. An object is held together
+    with the movable objects that carry it.
+
+    Args:
+        composed: the placed scene.
+        finished: its final scene, which does not pass the final check.
+        o: options of settling and of the check.
+
+    Returns:
+        The final scene, which does not pass either if objects are held: `SceneObject.held`.
+    """
+    carriers = {item.name: _carriers(composed, item) for item in composed.objects}
+    held = set[str]()
+    while True:
+        rests = zip(finished.scene.objects, finished.rests(o), strict=True)
+        failing = {item.name for item, at_rest in rests if not (at_rest or item.static)}
+        if not failing:
+            return finished
+        first = {name for name in failing if not failing & carriers[name]} or failing
+        held |= first.union(*(carriers[name] for name in first))
+        objects = tuple(
+            item.model_copy(update={"held": item.name in held and not item.static})
+            for item in composed.objects
+        )
+        scene = composed.model_copy(update={"objects": objects})
+        finished = settle_and_check(compile_for_simulation(scene), scene, o)
+
+
+def _carriers(scene: SceneSpec, item: SceneObject) -> set[str]:
+    """Return the names of the objects on which an object stands, directly or through others."""
+    names = set[str]()
+    while item.parent is not None:
+        names.add(item.parent)
+        item = scene.object(item.parent)
+    return names
 
 
 def finish(

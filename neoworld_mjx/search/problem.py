@@ -12,6 +12,7 @@ from ..config import RefineOptions
 from ..errors import ConfigError
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
+from .cem import initial_sigma
 from .optimizer import Optimizer, optimizer_factory
 from .rewards import Term
 from .user_terms import named_terms
@@ -41,9 +42,8 @@ class Problem(eqx.Module):
     optimizer: Optimizer
     origin: Layout
     """Initial layout, with a population axis of length 1."""
-    sigma: Float[Array, " 3"]
-    """Initial standard deviations of x and y (as a fraction of an object's diagonal), yaw [rad] and
-    log scale, the units of the prior."""
+    sigma: Layout
+    """Initial standard deviations, the units of the prior, with a population axis of length 1."""
     max_depth: Float[Array, ""]
     """Penetration depth of a pair [m] at which a candidate becomes invalid."""
     distance: Float[Array, ""]
@@ -98,7 +98,6 @@ def open_problem(
         ConfigError: an option names something that does not exist, or the name of a term is taken.
     """
     o, c = options, options.cem
-    sigma = np.array([c.sigma_xy, np.radians(c.sigma_yaw_deg), c.sigma_log_scale], np.float32)
     scalars = {
         "max_depth": np.float32(o.max_depth_m),
         "distance": np.float32(o.max_drift_m),
@@ -110,7 +109,7 @@ def open_problem(
         terms=open_terms(o, terms),
         optimizer=optimizer or optimizer_factory(o.optimizer)(scene, c),
         origin=Layout.zero(1, scene.count) if origin is None else origin,
-        sigma=on_device(sigma),
+        sigma=initial_sigma(scene, c),
         **on_device(scalars),
         elite_ratio=c.elite_ratio,
         by_iteration=o.reward.normalisation == "iteration",

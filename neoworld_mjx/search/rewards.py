@@ -77,7 +77,7 @@ def symmetric_depth(
 
 
 def prior(
-    scene: SceneArrays, layouts: Layout, sigma: Float[AnyArray, " 3"], origin: Layout
+    scene: SceneArrays, layouts: Layout, sigma: Layout, origin: Layout
 ) -> Float[Array, " pop"]:
     """Return the distance to the initial layout: mean of (z / sigma)^2 over objects and variables.
 
@@ -86,14 +86,12 @@ def prior(
     Args:
         scene: the scene's arrays.
         layouts: the candidates.
-        sigma: standard deviations of x and y (as a fraction of an object's diagonal), yaw [rad] and
-            log scale.
+        sigma: standard deviations, with a population axis of length 1.
         origin: initial layout, with a population axis of length 1.
     """
-    safe = jnp.maximum(sigma, 1e-6)
-    z = jax.tree.map(jnp.subtract, layouts, origin)
-    xy = jnp.sum((z.xy / (safe[0] * scene.diagonal[:, None])) ** 2, axis=-1)
-    by_object = (xy + (z.yaw / safe[1]) ** 2 + (z.log_scale / safe[2]) ** 2) / 4
+    in_sigma = lambda x, mean, std: ((x - mean) / jnp.maximum(std, 1e-6)) ** 2
+    z = jax.tree.map(in_sigma, layouts, origin, sigma)
+    by_object = (jnp.sum(z.xy, axis=-1) + z.yaw + z.log_scale) / 4
     total = jnp.sum(jnp.where(scene.optimised, by_object, 0.0), axis=1)
     return total / jnp.maximum(jnp.sum(scene.optimised), 1)
 

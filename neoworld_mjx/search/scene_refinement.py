@@ -18,7 +18,7 @@ from ..physics.layout import Layout
 from ..physics.model import CompiledScene, SceneModel, compile_for_simulation, is_optimised
 from ..spec import SceneSpec, read_scene
 from .evaluation import Round, open_evaluation, timed
-from .finishing import INITIAL, Finished, Winner, choose_winner, settle_and_check
+from .finishing import INITIAL, Finished, Winner, choose_winner, hold_failing, settle_and_check
 from .loop import Iteration, search
 from .optimizer import Optimizer, optimizer_factory
 from .problem import open_terms
@@ -164,8 +164,8 @@ def refine(
 
     The candidates are then ranked: valid ones before all others, and both by reward. The winner is
     the first candidate in this order that passes the final check. If none of the first `finalists`
-    passes, the final scene in which the fewest objects fail is returned, and `Refined.passed` is
-    False.
+    passes, the objects that do not rest where the photograph shows them are held there
+    (`finishing.hold_failing`), and `Refined.passed` is False.
 
     Args:
         scene: the composed scene, compiled or not; or the path of a scene.json or of a run folder,
@@ -236,12 +236,15 @@ def refine(
             clock["to_valid"] += settled_s
             with timed(clock, "check"):
                 winner = choose_winner(world, model, rounds, o, initial)
+    if not winner.finished.passed and o.settle.enabled:
+        with timed(clock, "check"):
+            finished = hold_failing(spec, winner.finished, o)
+            winner = winner._replace(finished=finished)
     fallbacks = () if scorer is None else scorer.fallbacks
     if not winner.finished.passed:
         failed = [c.phrase() for c in scene_checks(winner.finished.measure, o) if not c.passed]
         fallbacks += (
-            f"no candidate passed the final check in {winner.tried} tries; the closest one is "
-            f"used: {'; '.join(failed)}",
+            f"no candidate passed the final check in {winner.tried} tries: {'; '.join(failed)}",
         )
     kept = np.flatnonzero(initial.rests(o) & is_optimised(spec))
     return Refined(

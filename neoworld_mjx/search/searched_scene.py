@@ -6,9 +6,10 @@ import math
 import numpy as np
 from jaxtyping import Bool
 
-from ..config import CEMOptions, RefineOptions
+from ..config import RefineOptions
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec
+from .cem import PAPER
 from .finishing import Finished
 
 LEAST_REACH = 0.335
@@ -32,7 +33,7 @@ def _compiled(scene: str, timestep: float, samples: int, reach: float) -> SceneM
 
 def reach_of(options: RefineOptions) -> float:
     """Return LEAST_REACH, doubled until it fits `sigma_xy`, so that many values share a scene."""
-    wider = options.cem.sigma_xy / CEMOptions().sigma_xy
+    wider = (options.cem.sigma_xy or 0.0) / PAPER[0]
     return LEAST_REACH * 2 ** math.ceil(math.log2(max(wider, 1.0)))
 
 

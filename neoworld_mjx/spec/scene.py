@@ -93,10 +93,16 @@ class SceneObject(Spec):
     """Known part of the object, which no stage changes: its size, or its size and its pose on its
     support."""
 
+    held: bool = Field(default=False, exclude_if=lambda value: not value)
+    """True if the object does not rest where the photograph shows it, and was fixed there, or
+    carries such an object. A scene with held objects is not valid."""
+
     @property
     def static(self) -> bool:
-        """True if the base of the object cannot move: an environment support, or a fixed base."""
-        return self.environment or self.fixed_base
+        """True if the base of the object cannot move: an environment support, a fixed base, or
+        held.
+        """
+        return self.environment or self.fixed_base or self.held
 
 
 MAX_OBJECTS, MAX_GEOMS = 500, 10_000

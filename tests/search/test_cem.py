@@ -8,6 +8,7 @@ import pytest
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.search import open_cem
 from neoworld_mjx.spec import Box
+from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -27,6 +28,26 @@ def test_initial_deviations_are_the_papers(scene):
     table = scene.names.index("table")
     assert not np.any(np.asarray(params.sigma.xy[0, table]))
     assert not np.any(np.asarray(params.sigma.log_scale[0, table]))
+
+
+def test_deviations_of_an_aligned_object_are_those_of_the_estimate_and_at_most_the_papers():
+    unknown = PoseUncertainty(along=0.5, across=0.001, yaw=0.02, log_scale=0.03)
+    spec = scenes.blocks()
+    objects = [
+        item.model_copy(update={"uncertainty": unknown}) if item.name == "low" else item
+        for item in spec.objects
+    ]
+    model = compile_scene(spec.model_copy(update={"objects": tuple(objects)}))
+    low, ball = (model.names.index(name) for name in ("low", "ball"))
+    sigma = open_cem(model, CEMOptions()).sigma
+    # The camera looks along +x, and the table's frame is the world's.
+    expected = [0.05 * np.hypot(0.1, 0.1), 0.001]
+    np.testing.assert_allclose(sigma.xy[0, low], expected, rtol=1e-4)
+    assert (sigma.yaw[0, low], sigma.log_scale[0, low]) == pytest.approx((0.02, 0.03))
+    assert sigma.log_scale[0, ball] == pytest.approx(0.1)  # not aligned
+    stated = open_cem(model, CEMOptions(sigma_log_scale=0.2, sigma_yaw_deg=3.0)).sigma
+    assert (stated.yaw[0, low], stated.log_scale[0, low]) == pytest.approx((np.radians(3), 0.2))
+    np.testing.assert_allclose(stated.xy, sigma.xy)
 
 
 def test_an_object_on_a_wall_moves_along_it_and_does_not_rotate():

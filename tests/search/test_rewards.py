@@ -115,7 +115,9 @@ def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
     yaw[0, b], log_scale[0, a] = 0.2, -0.1  # 1 and -2 sigma
     yaw[0, scene.names.index("table")] = 1.0  # not optimised
     layouts = Layout(jnp.asarray(xy), jnp.asarray(yaw), jnp.asarray(log_scale))
-    of = lambda scene, origin: float(rewards.prior(scene, layouts, np.array(sigma), origin)[0])
+    ones = np.ones((1, 3), np.float32)
+    deviations = Layout(sigma[0] * diagonal * ones[..., None], sigma[1] * ones, sigma[2] * ones)
+    of = lambda scene, origin: float(rewards.prior(scene, layouts, deviations, origin)[0])
     zero = Layout.zero(1, 3)
     assert of(scene, zero) == pytest.approx((4 / 4 + (9 + 16 + 1) / 4) / 2)
     alone = eqx.tree_at(lambda s: s.optimised, scene, jnp.arange(3) == b)

@@ -104,9 +104,11 @@ def unmatched(scene: SceneSpec, truth: SceneSpec) -> tuple[list[str], list[str]]
     """Return the names of missed and of extra movable objects.
 
     Missed objects are those that the scene lacks. Extra objects are those that the ground truth
-    lacks. No search can correct them, so they are counted separately and affect no error.
+    lacks. No search can correct them, so they are counted separately and affect no error. Held
+    objects count as movable.
     """
-    true_items, items = ([item for item in s.objects if not item.static] for s in (truth, scene))
+    free = lambda item: item.held or not item.static
+    true_items, items = ([item for item in s.objects if free(item)] for s in (truth, scene))
     names, all_names = {item.name for item in items}, {item.name for item in truth.objects}
     missed = [item.name for item in true_items if item.name not in names]
     return missed, [item.name for item in items if item.name not in all_names]
