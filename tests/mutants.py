@@ -5,8 +5,8 @@
 A worker applies a mutant (`support/mutations.py`) to its own copy of the repository and runs files
 of tests until a test fails: those named after the module, those of its room that import it, the
 rest of its room, then those of other rooms that import it; quick ones first within each group, and
-as many as take a third of the limit unmutated. A mutant that reaches the limit is killed, or
-undecided if these files take longer than a third of it.
+as many as take a third of the limit unmutated. A mutant is killed, too, if they take three times
+as long as unmutated and over a minute; it is undecided if the limit is shorter than that.
 
 Every file runs unmutated first; tests that fail are left out and listed. So does one selection of
 each room as a whole, a control. Rows are written as they come, and a second call goes on.
@@ -146,10 +146,11 @@ def run_mutant(
     changed.write_bytes(after)
     # Bytecode counts as fresh if whole seconds and size agree; no other mutant has this time.
     os.utime(changed, (mutant.start, mutant.start))
+    limit = min(limit, max(60.0, 3 * unmutated))
     ended = run_tests(home, paths, left_out, limit, "-x") if paths else Ended(NO_TESTS, [], 0.0)
     shutil.copy2(ROOT / mutant.module, changed)
     outcome = "survived" if ended.code in (0, NO_TESTS) else "killed"
-    if ended.code is None and unmutated >= limit / 3:
+    if ended.code is None and 3 * unmutated > limit:
         outcome = "not decided"
     by = "time-out" if ended.code is None else [*ended.failing, f"exit {ended.code}"][0]
     return {
