@@ -40,11 +40,12 @@ NO_TESTS = 5
 
 
 class Ended(NamedTuple):
-    """Exit code of pytest, None after a time-out; the tests that failed; the time [s]."""
+    """Exit code of pytest, None after a time-out; failed tests; time [s]; end of the output."""
 
     code: int | None
     failing: list[str]
     seconds: float
+    said: str
 
 
 def groups(module: str) -> list[list[str]]:
@@ -101,7 +102,7 @@ def run_tests(home: Path, paths: list[str], left_out: list[str], limit: float, *
     # conftest.py keeps there what a module compiles to, by its text.
     command += ["-o", f"cache_dir={home}/kept", *(f"--deselect={test}" for test in left_out)]
     began = time.monotonic()
-    with (home / "output.txt").open("w+") as output:
+    with (home / "output.txt").open("w+", errors="replace") as output:
         process = subprocess.Popen(
             command,
             cwd=copied,
@@ -122,17 +123,18 @@ def run_tests(home: Path, paths: list[str], left_out: list[str], limit: float, *
             os.killpg(process.pid, signal.SIGKILL)  # With whatever a test started and left.
         process.wait()
         output.seek(0)
-        failing = re.findall(
-            r"^(?:FAILED|ERROR) (\S+\.py(?:::.*?)?)(?: - .*)?$", output.read(), re.M
-        )
-    return Ended(code, failing, round(time.monotonic() - began, 1))
+        said = output.read()
+    failing = re.findall(r"^(?:FAILED|ERROR) (\S+\.py(?:::.*?)?)(?: - .*)?$", said, re.M)
+    return Ended(code, failing, round(time.monotonic() - began, 1), said[-1000:])
 
 
 def run_file(home: Path, limit: float, path: str) -> dict[str, Any]:
     """Return the row of a file of tests that runs unmutated."""
     ended = run_tests(home, [path], [], limit)
     usable = ended.code in (0, 1) and path not in ended.failing
-    return {"file": path, "usable": usable, "failing": ended.failing, "seconds": ended.seconds}
+    said = {} if usable else {"said": ended.said}
+    row = {"file": path, "usable": usable, "failing": ended.failing, "seconds": ended.seconds}
+    return row | said
 
 
 def run_mutant(
@@ -148,10 +150,11 @@ def run_mutant(
     # Bytecode counts as fresh if whole seconds and size agree; no other mutant has this time.
     os.utime(changed, (mutant.start, mutant.start))
     limit = min(limit, max(60.0, 3 * unmutated))
-    ended = run_tests(home, paths, left_out, limit, "-x") if paths else Ended(NO_TESTS, [], 0.0)
+    ended = run_tests(home, paths, left_out, limit, "-x") if paths else Ended(NO_TESTS, [], 0.0, "")
     shutil.copy2(ROOT / mutant.module, changed)
     outcome = "survived" if ended.code in (0, NO_TESTS) else "killed"
-    if ended.code is None and 3 * unmutated > limit:
+    too_slow = ended.code is None and 3 * unmutated > limit
+    if too_slow or (ended.code == NO_TESTS and any(groups(mutant.module))):
         outcome = "not decided"
     by = "time-out" if ended.code is None else [*ended.failing, f"exit {ended.code}"][0]
     return {
