@@ -363,6 +363,16 @@ def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
         assert note == "bar: composition kept the parsed tilt, at which it does not rest on saucer"
 
 
+def test_a_tilt_far_from_every_resting_pose_is_kept_and_noted():
+    """A plate at 60 degrees would fall flat, twice as far as composition may turn it."""
+    plate = scenes.single("plate", (Box(size=(0.2, 0.2, 0.02)), (0, 0, 0)))
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(60)).tolist())
+    result = composed([node("plate", plate, (1.0, 0, 0.1), base_tilt=tilt)], {"plate": plate})
+    assert result.scene.object("plate").base_tilt == pytest.approx(tilt)
+    (note,) = result.notes
+    assert note == "plate: composition kept the parsed tilt, near which it has no resting pose"
+
+
 FRAME = scenes.single("frame", (Box(size=(0.02, 0.3, 0.2)), (0, 0, 0.1)))
 WALL = scenes.single("wall", (Box(size=(0.1, 1.0, 1.0)), (0, 0, 0.5)))
 

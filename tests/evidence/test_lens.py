@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from neoworld_mjx.evidence.depth_image import DepthImage
+from neoworld_mjx.evidence.evidence import Evidence
+from neoworld_mjx.evidence.evidence_file import undistorted
 from neoworld_mjx.evidence.file_camera import Distortion, FileCamera, known_camera
 from neoworld_mjx.evidence.lens import Lens, is_pinhole, pinhole_of, undistorted_image
+from neoworld_mjx.evidence.masks import Masks
 
 BARREL = Lens((320, 240), (260.0, 262.0), (158.0, 121.0), coefficients=(-0.28, 0.07, 1e-3, -5e-4))
 PINCUSHION = Lens((320, 240), (260.0, 262.0), (158.0, 121.0), coefficients=(0.2, 0.05, 0.0, 0.0))
@@ -55,6 +59,27 @@ def test_undistorted_image_shows_each_point_where_a_pinhole_camera_has_it(name):
     seen = (np.stack([u, v], axis=-1) - pinhole.center) / pinhole.focal
     inside = result[2:-2, 2:-2]
     assert np.abs(inside - pattern(seen)[2:-2, 2:-2]).max() < 0.05
+
+
+def test_depth_confidence_and_masks_are_undistorted_like_the_photograph():
+    """A wall whose depth, confidence and mask change along x, seen through the lens."""
+    width, height = BARREL.size
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    x = BARREL.slopes(np.stack([u, v], axis=-1))[..., 0]
+    masks = Masks((x > 0.1).astype(int), {"wall": 1})
+    evidence = Evidence(depth=DepthImage(2 + x, confidence=0.5 + x / 4), masks=masks, lens=BARREL)
+    seen = undistorted(evidence)
+    pinhole = pinhole_of(BARREL)
+    x = (np.arange(pinhole.size[0]) + 0.5 - pinhole.center[0]) / pinhole.focal
+    x = np.broadcast_to(x, pinhole.size[::-1])
+    assert seen.lens is None and seen.photo is None
+    assert seen.depth is not None and seen.depth.confidence is not None and seen.masks is not None
+    inside = np.s_[2:-2, 2:-2]
+    assert np.abs(seen.depth.values - 2 - x)[inside].max() < 0.01
+    assert np.abs(seen.depth.confidence - 0.5 - x / 4)[inside].max() < 0.01
+    clear = np.abs(x - 0.1) > 0.01
+    assert np.array_equal(seen.masks.labels[clear], (x > 0.1)[clear])
+    assert seen.masks.names == {"wall": 1}
 
 
 def test_distortion_and_pixels_that_are_not_square_undistort_the_photograph():
