@@ -40,7 +40,8 @@ class SceneMeasure(Spec):
     settled_depths_m: dict[str, float] = Field(default_factory=dict)
     """Penetration depth of each penetrating pair "a|b" at the end of the simulation."""
     s_stab: bool | None
-    """True if every object stayed within the bounds at all times; None without movable objects."""
+    """True if every object stayed within the bounds at all times, and none is held; None without
+    movable objects."""
     max_drift_m: float
     max_tilt_deg: float
     drift_m: dict[str, float] = Field(default_factory=dict)
@@ -112,6 +113,7 @@ def measures_of(
     slides, joints = static.joint_slides, np.array(static.joint_names, object)
     by_name = lambda keys, values: dict(zip(keys, values.tolist(), strict=True))
     pairs = lambda depths: {f"{a}|{b}": depth for (a, b), depth in depths.items()}
+    held = tuple(item.name for item in world.spec.objects if item.held)
     measures = []
     for k, status in enumerate(rested.status):
         drift, drop = rested.drift[k, movable], rested.drop[k, movable]
@@ -119,7 +121,8 @@ def measures_of(
         diverged = status != int(RolloutStatus.OK) or not np.isfinite(drift).all()
         before = pairs(rested.depths[k])
         after = {} if diverged else pairs(rested.end_depths[k])
-        stable = not diverged and bool((drift < max_drift).all() and (tilt < max_tilt).all())
+        stable = not (diverged or held)
+        stable &= bool((drift < max_drift).all() and (tilt < max_tilt).all())
         measures.append(
             SceneMeasure(
                 objects=len(static.names),
@@ -129,7 +132,7 @@ def measures_of(
                 settled_depth_m=_largest(after),
                 depths_m=before,
                 settled_depths_m=after,
-                s_stab=stable if names else None,
+                s_stab=stable if names or held else None,
                 max_drift_m=math.inf if diverged else float(drift.max(initial=0.0)),
                 max_tilt_deg=math.inf if diverged else float(tilt.max(initial=0.0)),
                 drift_m=by_name(names, drift),
@@ -139,7 +142,7 @@ def measures_of(
                 joint_turn_deg=by_name(joints[~slides], np.degrees(joint[~slides])),
                 duration_s=duration,
                 diverged=diverged,
-                held=tuple(item.name for item in world.spec.objects if item.held),
+                held=held,
             )
         )
     return measures

@@ -91,7 +91,8 @@ class SceneRow(MethodRow):
     """1 if two objects penetrate deeper than the bound in the result, else 0."""
     s_stab: bool
     o_stab: float
-    """Fraction of the movable objects whose drift and tilt stay within the bounds."""
+    """Fraction of the movable objects whose drift and tilt stay within the bounds, and that are not
+    held."""
     articulated: int
     """Number of objects with joints that move."""
     p_pen: int
@@ -238,7 +239,7 @@ def _row(
     verdict = validity(result.scene, m, truth, o, given=initial)
     still = [
         m.drift_m[name] < o.max_drift_m and m.tilt_deg[name] < o.max_tilt_deg for name in m.drift_m
-    ]
+    ] + [False] * len(m.held)
     part_depths = [
         part_depth(item.spec)
         for item in result.scene.objects
