@@ -21,18 +21,13 @@ log = logging.getLogger(__name__)
 
 TABLES = {
     "examples": "examples",
-    "scenes": (
-        "scenes --starts 3 --method ours aligned guided gravity open_loop without_photo algorithm1"
-    ),
+    "scenes": "scenes --starts 2 --method ours aligned guided gravity open_loop",
     "evidence": (
-        "scenes --starts 3 --method aligned --evidence none exif fov fov+affine fov+pose fov+depth "
+        "scenes --starts 2 --method aligned --evidence none exif fov fov+affine fov+pose fov+depth "
         "fov+pose+depth fov+masks fov+depth+masks second stereo"
     ),
-    "refined": "scenes --starts 3 --method ours --evidence fov+pose fov+depth",
-    "tasks": (
-        "tasks --starts 2 --method ours open_loop no_simulation without_s_sem "
-        "--evidence none fov+pose fov+depth"
-    ),
+    "tasks": "tasks --starts 2 --method ours --evidence none fov+pose fov+depth",
+    "ablations": "tasks --starts 1 --method open_loop no_simulation without_s_sem",
     "photos": "photos",
     "rescue": "rescue",
     "engines": "engines",
