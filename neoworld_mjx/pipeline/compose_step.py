@@ -1,17 +1,15 @@
 """Step 4 of a run: compose the scene of the built objects and align it with the photograph."""
 
-import json
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..run_folder import CAMERA_NOTE, RunFolder
-from ..spec import SceneSpec, SceneTree, read_scene
+from ..spec import SceneSpec, SceneTree
 from .edited_files import edited_objects, moves_from_tree, tree_edited
 from .step_context import (
     ALIGNED,
-    CHECK,
     COMPOSED,
     DEPTH,
     EVIDENCE,
@@ -90,7 +88,6 @@ def compose_scene(context: StepContext) -> None:
                 run.note("compose", outcome, reason)
             _record_patch(run, patch, stale)
     context.draw("compose/picture", COMPOSED, "pictures/before.png")
-    _check_composed(context)
 
 
 def _inputs(
@@ -213,34 +210,3 @@ def _record_patch(run: RunFolder, patch: "LayoutPatch", stale: tuple[str, ...]) 
     for name in stale:
         reason = f"{LAYOUT_PATCH} contains it, but the scene does not"
         run.fallback("compose", f"no {name}", reason)
-
-
-def _check_composed(context: StepContext) -> None:
-    """Write compose/check.json with the objects of the composed scene that do not stay in place.
-
-    Objects that no layout can stabilize are recorded as fallbacks of the run. The search may
-    stabilize the other objects.
-    """
-    from ..measure import measured, unstable_objects
-    from ..measure.scene_check import phrases
-
-    run, limits = context.run, context.config.refine
-    bounds = limits.model_dump(
-        include={"check_duration_s", "max_depth_m", "max_drift_m", "max_tilt_deg"}
-    )
-    with run.step("compose/check", {"scene": run.path / COMPOSED, "bounds": bounds}) as out:
-        if out is None:
-            return
-        scene = read_scene(run.path / COMPOSED)
-        measure = measured(scene, limits)
-        moving = unstable_objects(
-            scene, measure, max_drift=limits.max_drift_m, max_tilt=limits.max_tilt_deg
-        )
-        entries = [json.loads(e.model_dump_json()) | {"phrase": e.phrase()} for e in moving]
-        write_files(out, {CHECK: {"unstable": entries}})
-        if moving:
-            count = "1 object does" if len(moving) == 1 else f"{len(moving)} objects do"
-            run.note("compose/check", f"{count} not rest before the search", phrases(moving))
-        for entry in moving:
-            if not entry.held:
-                run.fallback("compose/check", f"{entry.name} has no stable support", entry.why)

@@ -44,7 +44,7 @@ def write_report(folder: Path) -> Path:
     tree = read_json(folder / "tree.json") or {}
     title = run["photo"].get("name") or folder.resolve().name
     sections: list[tuple[str, Callable[[], Markup]]] = [
-        (title, lambda: _header(run, title, folder)),
+        (title, lambda: _header(run, title)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
         (photograph.RESCUE_TITLE, lambda: photograph.rescue_section(folder)),
@@ -83,7 +83,7 @@ def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
         return elements.section(title, elements.missing(note))
 
 
-def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
+def _header(run: dict[str, Any], title: str) -> Markup:
     """Return the header with the status of the run and the verdict on its scene."""
     status, metrics = str(run["status"]), run["metrics"]
     passed = metrics.get("passed")
@@ -92,10 +92,6 @@ def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
     if passed is False:
         color = "bad"
         errors.append(verdict_line(metrics))
-        moving = (read_json(folder / "compose" / "check.json") or {}).get("unstable", [])
-        if moving:
-            phrases = "; ".join(str(entry["phrase"]) for entry in moving)
-            errors.append(f"Moved in free fall before the search: {phrases}")
     else:
         status = f"{status}, {verdict_line(metrics)}"
     facts = [
