@@ -12,7 +12,6 @@ from .step_context import (
     ALIGNED,
     COMPOSED,
     DEPTH,
-    EVIDENCE,
     OUTLINES,
     PHOTO,
     REFIT,
@@ -37,8 +36,8 @@ def compose_scene(context: StepContext) -> None:
     """Step 4: compose the scene of the built objects, and align it with boxes and photograph.
 
     The step writes tree.json, compose/fit.json, compose/align.json, compose/scene.json,
-    compose/scales.json, pictures/outlines.png, pictures/evidence.png and, with a depth image,
-    pictures/depth.png, and the scene's picture.
+    compose/scales.json, pictures/outlines.png and, with a depth image, pictures/depth.png, and the
+    scene's picture.
     """
     from ..compose.layout_patch import apply_layout, read_layout_patch
     from ..spec.scene import scene_in_frame
@@ -137,14 +136,11 @@ def _write_alignment(
     """
     from ..render import to_png
     from ..view.depth_pictures import depth_picture, mask_overlaps
-    from ..view.outline_pictures import evidence_picture, outline_errors, outline_picture
+    from ..view.outline_pictures import outline_errors, outline_picture
 
     report, aligned, photo = alignment.to_json(), alignment.scene, evidence.photo
     if aligned.camera is not None and photo is not None:
-        pictures = {
-            OUTLINES: to_png(outline_picture(photo, scene, aligned)),
-            EVIDENCE: to_png(evidence_picture(aligned, photo)),
-        }
+        pictures = {OUTLINES: to_png(outline_picture(photo, scene, aligned))}
         before, after = (outline_errors(s, photo) for s in (scene, aligned))
         report["outlines_px"] = {
             name: {"composed": before[name], "aligned": after[name]} for name in after

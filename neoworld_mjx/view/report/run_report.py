@@ -28,8 +28,6 @@ _ERRORS = (
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a section may raise if a file has an unexpected structure."""
-SECTIONS_NOT_IN_RESCUE = ("Pictures", objects.TITLE, "Models")
-"""Sections about steps that do not belong to a rescue."""
 
 
 def write_report(folder: Path) -> Path:
@@ -47,7 +45,6 @@ def write_report(folder: Path) -> Path:
         (title, lambda: _header(run, title)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
-        (photograph.RESCUE_TITLE, lambda: photograph.rescue_section(folder)),
         ("Checks", lambda: _checks(run)),
         ("Pictures", lambda: _pictures(folder, tree)),
         (photograph.TITLE, lambda: photograph.photograph_section(folder)),
@@ -58,8 +55,6 @@ def write_report(folder: Path) -> Path:
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
-    if (folder / photograph.GIVEN).is_file():
-        sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
         [_draw_section(name, section) for name, section in sections],
@@ -156,13 +151,18 @@ def _pictures(folder: Path, tree: dict[str, Any]) -> Markup:
             f"; camera {camera['height']:.2f} m high, pitched down {pitch:.1f}°, vertical field of "
             f"view {fovy:.1f}°"
         )
-    pictures = [
-        picture(folder / "photo.png", "Photograph"),
-        picture(folder / "pictures" / "parse.png", boxes),
-        picture(folder / "pictures" / "before.png", "Composed, before refinement"),
-        picture(folder / "pictures" / "after.png", "Refined"),
-    ]
-    return elements.section("Pictures", elements.div("pictures", *pictures))
+    captions = {
+        "photo.png": "Photograph",
+        "pictures/parse.png": boxes,
+        "pictures/before.png": "Composed, before refinement",
+        "pictures/after.png": "Refined",
+    }
+    files = {folder / file: caption for file, caption in captions.items()}
+    pictures = [picture(file, caption) for file, caption in files.items() if file.is_file()]
+    shown = (
+        elements.div("pictures", *pictures) if pictures else elements.missing("No pictures yet.")
+    )
+    return elements.section("Pictures", shown)
 
 
 def _scene_3d(folder: Path) -> Markup:
