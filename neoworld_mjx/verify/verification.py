@@ -1,24 +1,19 @@
-"""Step 3 for one object: object tests, repairs, and the cache of results."""
+"""Step 3 for one object: object tests, repairs, and requests to models."""
 
 import asyncio
 import json
-import logging
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from ..cache import cache_folder
-from ..checks.object_tests import VERSION, run_object_tests
+from ..checks.object_tests import run_object_tests
 from ..checks.signals import Allowance
 from ..checks.verdict import WAIVER_HINT, Check, Verdict
 from ..config import VerifyOptions
-from ..errors import MissingResponseError, RunError
-from ..io import read_model
-from ..io.files import content_hash, write_atomic
+from ..errors import MissingResponseError
 from ..mllm import Model, Request, ask_or_record
 from ..mllm.panel import run_coroutine
 from ..program.ask import SynthesisResult
@@ -29,7 +24,6 @@ from .critic import MotionCritique, edit_request, findings, key_frames_request, 
 from .patch import Patch, apply
 from .repairs import Repair, repair
 
-_log = logging.getLogger(__name__)
 _simulating = threading.Lock()
 R = TypeVar("R")
 T = TypeVar("T", bound=BaseModel)
@@ -98,9 +92,8 @@ async def verify_object(
     """Test an object, and repair it in at most `options.rounds` rounds (paper Section 3.2).
 
     Direct repairs come first. Then models are shown an object with failed or borderline checks, or,
-    with `options.critic: always`, every object. Results are cached if no request was sent to a
-    model. Otherwise, recorded responses (tapes) serve as the cache. Several objects can be verified
-    concurrently; they are simulated one after another while others wait for models.
+    with `options.critic: always`, every object. Several objects can be verified concurrently; they
+    are simulated one after another while others wait for models.
 
     Args:
         spec: the object.
@@ -120,20 +113,6 @@ async def verify_object(
         MissingResponseError: `options.critic` is "always", and the recorded responses lack a
             response.
     """
-    key = {
-        "version": VERSION,
-        "spec": spec.model_dump(mode="json"),
-        "options": options.model_dump(mode="json"),
-        "fixed": fixed_base,
-        "tilt": list(tilt),
-        "allowed": [list(allowance) for allowance in allowed],
-    }
-    path = cache_folder() / "verify" / f"{content_hash(key)}.json"
-    always = models is not None and options.critic == "always"
-    cached = None if always else _read(path)
-    if cached is not None and (models is None or not cached.verdict.questionable):
-        return cached
-
     run = partial(
         run_object_tests, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed
     )
@@ -141,13 +120,14 @@ async def verify_object(
     repaired = await _simulated(lambda: repair(spec, run, rounds=direct))
     critiques: list[MotionCritique] = []
     # A fixed object without joints has no scenarios, so there is nothing to show.
-    shown = repaired.after.questionable or (always and bool(standard_runs(repaired.tests)))
+    always = options.critic == "always" and bool(standard_runs(repaired.tests))
+    shown = repaired.after.questionable or always
     if models is not None and shown:
         critiques = await revise_with_models(
             repaired, models, options, surroundings=surroundings, source=source
         )
     program = repaired.program
-    result = VerificationResult(
+    return VerificationResult(
         verdict=repaired.after,
         before=None if repaired.patch.empty and program is None else repaired.before,
         patch=repaired.patch,
@@ -160,9 +140,6 @@ async def verify_object(
         program_json=None if program is None else program.to_json(),
         reprogrammed=None if program is None else program.spec,
     )
-    if models is None or not shown:
-        _write(path, result)
-    return result
 
 
 def verify_and_repair(
@@ -279,18 +256,3 @@ async def _simulated(work: Callable[[], R]) -> R:
             return work()
 
     return await asyncio.to_thread(locked)
-
-
-def _read(path: Path) -> VerificationResult | None:
-    try:
-        return read_model(path, VerificationResult, RunError, "a cached result")
-    except RunError:
-        return None
-
-
-def _write(path: Path, result: VerificationResult) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, result.model_dump_json())
-    except OSError as error:
-        _log.debug("result not cached: %s", error)
