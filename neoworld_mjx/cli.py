@@ -148,7 +148,7 @@ def run(command: "Command") -> int:
             elif command.json:
                 print(json.dumps(strict_json(result)), file=out)
             elif "error" not in result:
-                rest = details(result) if command.verbose else ()
+                rest = [details(result)] * command.verbose
                 print(printable("\n".join([*command.lines(result), *rest])), file=out)
             out.flush()
         except OSError as error:

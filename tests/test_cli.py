@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from neoworld_mjx import cli
 from neoworld_mjx.commands import COMMANDS
@@ -217,9 +218,8 @@ def test_listings_are_short(neoworld, tmp_path):
     assert len(said.splitlines()) <= 6
     said = neoworld("examples").stdout.splitlines()
     assert [line.split(":")[0] for line in said] == [*bundled_examples(), "next"]
-    table = neoworld("examples", "-v").stdout.splitlines()[len(said) :]
-    assert table[0] == "examples:" and table[1].split()[:2] == ["name", "photo"]
-    assert [line.split()[0] for line in table[2:]] == list(bundled_examples())
+    listed = yaml.safe_load("\n".join(neoworld("examples", "-v").stdout.splitlines()[len(said) :]))
+    assert [example["name"] for example in listed["examples"]] == list(bundled_examples())
 
 
 def test_the_version_is_that_of_the_package(neoworld):

@@ -245,11 +245,11 @@ class AgentTools:
     def check(self) -> Content:
         """Check the scene, and list each check with its value and threshold."""
         from .object_commands import CheckCommand
-        from .terminal import details
 
         command = CheckCommand(target=self.agent_run.with_scene("scene.json"))
         result = command.run()
-        return ["\n".join([*command.lines(result)[:-1], *details({"checks": result["checks"]})])]
+        rows = [f"{'pass' if c['passed'] else 'fail'}: {c['phrase']}" for c in result["checks"]]
+        return ["\n".join([*command.lines(result)[:-1], *rows])]
 
     def edit(
         self,

@@ -29,7 +29,7 @@ class Command:
     quiet: bool = False
     """Print no progress."""
     verbose: Annotated[bool, arg(aliases=("-v",))] = False
-    """Print all details of the result, and all progress messages."""
+    """Print the whole result as YAML, and all progress messages."""
     debug: bool = False
     """Print the traceback of an error."""
 

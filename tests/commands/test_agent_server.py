@@ -225,7 +225,7 @@ def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path)
         async with agent(folder) as coffee:  # A restarted server: nobody calls start.
             assert "finished: valid" in (await coffee.next())[1]
             text, _ = await coffee.call("check")
-            assert "max_depth_m" in text
+            assert "pass: saucer and spoon: penetration" in text
             _, pictures = await coffee.call("render", width=200)
             assert len(pictures) == 2
             _, pictures = await coffee.call("render", view="around", objects=["cup"], width=200)
