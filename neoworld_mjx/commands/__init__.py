@@ -47,7 +47,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "List the object templates, or write the program of one.",
     ),
     "sample": CommandEntry(
-        ".sample_command:SampleCommand",
+        ".policy_commands:SampleCommand",
         "Draw scenes that a photograph allows, and count in how many of them every object rests.",
     ),
     "train": CommandEntry(
@@ -60,7 +60,7 @@ COMMANDS: dict[str, CommandEntry] = {
     ),
     "play": CommandEntry(".policy_commands:PlayCommand", "Write a video of a policy in a scene."),
     "export": CommandEntry(
-        ".export_command:ExportCommand",
+        ".object_commands:ExportCommand",
         "Export a scene or an object to a format or for a simulator, and list what is lost.",
     ),
     "preview": CommandEntry(

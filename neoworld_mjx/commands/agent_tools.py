@@ -314,7 +314,7 @@ class AgentTools:
             out: new folder in the server's folder; default: RUN-export.
             overwrite: write into a folder that is not empty.
         """
-        from .export_command import ExportCommand
+        from .object_commands import ExportCommand
 
         target = self.agent_run.with_scene("scene.json")
         folder = self.agent_run.path(out or f"{target.name}-export")

@@ -84,7 +84,7 @@ def read_asset(file: Path, *, any_unit: bool = False) -> ObjectSpec:
         EvidenceError: the file cannot be read, contains no single object, or is in another unit.
     """
     from ..verify.checking import import_object
-    from .input_doubts import doubt_unit
+    from .mesh_tree import doubt_unit
 
     try:
         imported = import_object(file)

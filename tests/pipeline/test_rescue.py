@@ -27,8 +27,7 @@ from neoworld_mjx.export.importing import import_file
 from neoworld_mjx.export.write_glb import glb_bytes
 from neoworld_mjx.io.files import content_hash
 from neoworld_mjx.measure import measured, passes
-from neoworld_mjx.pipeline.input_doubts import doubt_solids, doubt_unit, scaled_scene
-from neoworld_mjx.pipeline.mesh_tree import mesh_tree
+from neoworld_mjx.pipeline.mesh_tree import doubt_solids, doubt_unit, mesh_tree, scaled_scene
 from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.pipeline.rescue import photo_evidence, posed_tree, rescue_file
 from neoworld_mjx.render import render_scene, visible_surface

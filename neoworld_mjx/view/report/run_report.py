@@ -11,16 +11,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import TemplateError
 from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
 
 from ...config import Config
 from ...errors import NeoWorldError, RunError
+from ...io import read_arrays
 from ...io.files import write_atomic
 from ...quantities import count
 from ...run_folder import STEPS, read_run, refuse_links, step_times, verdict_line
 from ...spec import read_scene
-from . import objects, photograph, scene_3d, search
+from . import objects, photograph, scene_3d
 from .page import document, elements, picture, read_json
 
 _ERRORS = (
@@ -50,7 +53,7 @@ def write_report(folder: Path) -> Path:
         (photograph.TITLE, lambda: photograph.photograph_section(folder)),
         (objects.TITLE, lambda: objects.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
-        (search.TITLE, lambda: search.convergence(folder / "refine" / "history.npz")),
+        (SEARCH, lambda: _convergence(folder / "refine" / "history.npz")),
         ("Time", lambda: _time(run)),
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
@@ -239,3 +242,49 @@ def _differences(default: Any, configured: Any, path: str = "") -> list[tuple[st
             )
         ]
     return [] if default == configured else [(path, default, configured)]
+
+
+SEARCH = "Convergence of the search"
+_TERMS = "Terms are those of the candidate with the best reward, in SI units, with their weights."
+
+
+def _convergence(path: Path) -> Markup:
+    """Return the section with rewards, terms and numbers of candidates by iteration.
+
+    Args:
+        path: history.npz, with the arrays `reward`, `valid` and `status` and an array for each
+            name in `term_names`, all of shape [iteration, candidate], and `term_weights` [term].
+    """
+    if not path.exists():
+        return elements.section(SEARCH, elements.missing("No refine/history.npz yet."))
+    try:
+        history = read_arrays(path, RunError)
+    except RunError as error:
+        note = f"refine/history.npz cannot be read: {error}"
+        return elements.section(SEARCH, elements.missing(note))
+    reward = history["reward"]
+    if not len(reward):
+        note = "The composed scene was accepted; no search was needed."
+        return elements.section(SEARCH, elements.paragraph(note))
+    names = [str(name) for name in history["term_names"]]
+    valid = np.sum(history["valid"], axis=1)
+    failed = np.sum(~np.isfinite(reward), axis=1)
+    best, mean = _over_finite(reward, np.max), _over_finite(reward, np.mean)
+    chosen = np.where(np.isfinite(reward), reward, -np.inf).argmax(axis=1)
+    rows = [
+        [
+            *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", reward.shape[1], valid[t], failed[t]),
+            *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
+        ]
+        for t in range(len(reward))
+    ]
+    heads = ["#iteration", "#best reward", "#mean reward", "#sampled", "#valid", "#failed"]
+    weights = history["term_weights"]
+    heads += [f"#{name} × {weight:g}" for name, weight in zip(names, weights, strict=True)]
+    return elements.section(SEARCH, elements.table(heads, rows), elements.paragraph(_TERMS, "dim"))
+
+
+def _over_finite(values: ArrayLike, function: Callable[[NDArray], Any]) -> NDArray:
+    """Reduce the finite values of each iteration to one number, or NaN if there are none."""
+    rows = [row[np.isfinite(row)] for row in np.asarray(values, float)]
+    return np.array([float(function(row)) if row.size else np.nan for row in rows])
