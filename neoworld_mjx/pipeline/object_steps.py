@@ -11,6 +11,7 @@ from ..errors import ProgramError, SpecError
 from ..io import read_object
 from ..mllm.panel import run_coroutine
 from ..parse.crops import Crop, SupportColour, crops, support_colours
+from ..program.critique import Subject
 from ..program.synthesise import ProgramSource, all_instructions, synthesise
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
@@ -113,14 +114,9 @@ def program_objects(context: StepContext) -> None:
             write_asset(run, name, node.name, known.assets[node.name], inputs[node.name])
             return
         run.begin(name)
-        result = await synthesise(
-            node,
-            crop_by_name[node.name],
-            models,
-            options,
-            camera=tree.camera,
-            colour=None if colour is None else colour.rgb,
-        )
+        rgb = None if colour is None else colour.rgb
+        subject = _subject(node, crop_by_name[node.name], tree)
+        result = await synthesise(subject, models, options, colour=rgb)
         if result.spec is None:
             raise ProgramError(f"object {node.name}: {result.reason}")
         with run.step(name, inputs[node.name]) as out:
@@ -139,6 +135,10 @@ def program_objects(context: StepContext) -> None:
 
     run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
     _correct_sizes(run, tree)
+
+
+def _subject(node: TreeNode, crop: Crop, tree: SceneTree) -> Subject:
+    return Subject(node, crop.picture, crop.note, tree.camera, crop.window)
 
 
 def program_inputs(
@@ -239,7 +239,7 @@ def verify_objects(context: StepContext) -> None:
         kept = node.slab or known or edited
         if crop is not None and program_file.is_file() and not kept:
             text = program_file.read_text(encoding="utf-8")
-            source = ProgramSource(node, crop, text, context.config.program, tree.camera)
+            source = ProgramSource(_subject(node, crop, tree), text, context.config.program)
         result = await verify_object(
             spec,
             options,
