@@ -200,7 +200,7 @@ async def revise_with_models(
             proposed = await _ask(models, request, repaired, always=always)
             if proposed is None or proposed.patch.empty:
                 break
-            await _simulated(partial(repaired.try_patches, [proposed.patch]))
+            await _simulated(partial(repaired.try_patch, proposed.patch))
         tried += repaired.tried[tried_before:]
         if repaired.after.passed:
             break
