@@ -1,6 +1,5 @@
 """Steps 4 and 5 of a run and the export: compose, refine, and write the scene's files."""
 
-import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -271,33 +270,22 @@ def refine_layout(context: StepContext) -> None:
             run.note("refine", f"aligned again: {', '.join(final.aligned)}", why)
         moves = object_moves(composed, scene)
         checks = scene_checks(placed.measure, config.refine)
-        summary = {
+        metrics = placed.measure.model_dump(mode="json") | {
             "passed": all(check.passed for check in checks),
             "checks": [check.to_json() for check in checks],
             "engine": refined.engine,
             "iterations": refined.iterations,
             "winner": list(refined.winner),
-            "finalists_tried": refined.finalists_tried,
-            "mean_log_scale": _mean([math.log(move.size_ratio) for move in moves.values()]),
-            "mean_shift_m": _mean([move.distance_m for move in moves.values()]),
-            "mean_turn_deg": _mean([move.turn_deg for move in moves.values()]),
-            "kept": list(refined.kept),
-            "rollouts": refined.rollouts,
-            "scoring": refined.scoring,
-            "layout": {
-                name: np.asarray(getattr(refined.layout, name)[0]).tolist()
-                for name in ("xy", "yaw", "log_scale")
-            },
-            "after": placed.measure.model_dump(mode="json"),
             "before": refined.before.model_dump(mode="json"),
+            "box_iou": None,
         }
         # Boxes of a rescue are no evidence.
         if (run.path / TREE).is_file() and not (run.path / GIVEN).is_file():
             tree = read_tree(run, before="program")
             objects = [node for node in tree.nodes if not node.environment]
             parsed = {node.name: agreement(tree, node) for node in objects}
-            summary["box_iou"] = box_iou(parsed, composed, scene)
-        write_files(out, {SCENE: scene.to_json(), RESULT: summary})
+            metrics["box_iou"] = box_iou(parsed, composed, scene)
+        write_files(out, {SCENE: scene.to_json(), RESULT: metrics})
         run.record("refine", seconds=placed.seconds)
         for note in refined.fallbacks:
             outcome, _, reason = note.partition(": ")
@@ -310,10 +298,6 @@ def refine_layout(context: StepContext) -> None:
                     f"the refinement moved it by {100 * move.distance_m:.0f} cm, scaled it by "
                     f"{move.size_ratio:.2f} and turned it by {move.yaw_deg:.0f} deg",
                 )
-
-
-def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else 0.0
 
 
 def export_files(context: StepContext) -> None:
@@ -331,15 +315,6 @@ def export_files(context: StepContext) -> None:
 
 def write_metrics(run: RunFolder) -> None:
     """Record the metrics of the refined scene in run.json, if there is a refined scene."""
-    path = run.path / RESULT
-    if not path.exists():
-        return
-    summary = read_object(path, RunError)
-    names = ("mean_log_scale", "mean_shift_m", "mean_turn_deg", "iterations", "engine", "before")
-    try:
-        values = {name: summary[name] for name in (*names, "passed", "checks")}
-        values["box_iou"] = summary.get("box_iou")
-        run.record("metrics", **summary["after"], **values)
-    except (KeyError, TypeError) as error:
-        raise RunError(f"{path} lacks {error}; repeat the step with --from refine") from None
-    run.save()
+    if (run.path / RESULT).exists():
+        run.record("metrics", **read_object(run.path / RESULT, RunError))
+        run.save()

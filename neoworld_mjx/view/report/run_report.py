@@ -116,7 +116,7 @@ def _notes(run: dict[str, Any]) -> Markup:
 
 
 def _checks(run: dict[str, Any]) -> Markup:
-    """Return the checks of the refined scene, and the changes by the search."""
+    """Return the checks of the refined scene."""
     metrics = run["metrics"]
     if not metrics:
         finished = {name.partition("/")[0] for name in run["steps"]}
@@ -128,12 +128,6 @@ def _checks(run: dict[str, Any]) -> Markup:
         for check in metrics.get("checks", ())
     ]
     facts = [f"{count(metrics.get('movable', 0), 'movable object')} of {metrics.get('objects')}"]
-    if metrics.get("mean_shift_m") is not None:
-        facts.append(
-            f"moved after composition, on average, by {1000 * metrics['mean_shift_m']:.1f} mm and "
-            f"{metrics['mean_turn_deg']:.1f}°, settling included, and scaled by "
-            f"{math.expm1(metrics['mean_log_scale']):+.1%}"
-        )
     iou = (metrics.get("box_iou") or {}).get("refined")
     if iou is not None:
         facts.append(f"mean IoU of the visible and the parsed 2D boxes {iou:.2f}")
