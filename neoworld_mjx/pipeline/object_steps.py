@@ -267,8 +267,8 @@ def verify_objects(context: StepContext) -> None:
 def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:
     """Return the contents of verify.json and of the changed files of an object by file name."""
     files = {"verify.json": result.to_json()}
-    if result.program is not None and result.program_json is not None:
-        files |= {PROGRAM: result.program, ROUNDS: result.program_json}
+    if result.program is not None:
+        files |= {PROGRAM: result.program.text, ROUNDS: result.program.to_json()}
     if result.changed:
         files[SPEC] = result.applied(spec).to_json()
     return files
@@ -281,7 +281,7 @@ def _record_verification(run: RunFolder, name: str, result: VerificationResult) 
         reason = "; ".join(result.seen) or "the critic asked for it"
         run.note(step, f"{name} has a new program", reason)
     if not result.patch.empty:
-        run.note(step, f"{name} was edited", "; ".join(result.changes))
+        run.note(step, f"{name} was edited", "; ".join(result.patch.changes()))
     if result.waived:
         phrases = "; ".join(check.phrase() for check in result.waived)
         run.note(step, f"{name} is valid according to the critic", phrases)

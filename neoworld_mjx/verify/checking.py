@@ -200,7 +200,7 @@ def _report(result: VerificationResult) -> dict[str, Any]:
     if result.tried:
         report["repair"] = {
             "before": list((result.before or verdict).faults),
-            "changes": list(result.changes),
+            "changes": list(result.patch.changes()),
             "tried": list(result.tried),
         }
     return report

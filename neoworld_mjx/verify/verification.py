@@ -4,10 +4,11 @@ import asyncio
 import json
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from ..checks.object_tests import run_object_tests
 from ..checks.signals import Allowance
@@ -29,37 +30,31 @@ R = TypeVar("R")
 T = TypeVar("T", bound=BaseModel)
 
 
-class VerificationResult(BaseModel):
+@dataclass(frozen=True)
+class VerificationResult:
     """Result of Step 3 for one object."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Verdict
     """Verdict on the resulting object."""
-    before: Verdict | None = None
+    before: Verdict | None
     """Verdict on the object before repairs; None if the object was not changed."""
-    patch: Patch = Patch()
-    changes: tuple[str, ...] = ()
-    """Description of each change of the patch."""
-    tried: tuple[str, ...] = ()
+    patch: Patch
+    program: SynthesisResult | None
+    """A new program that replaces the first program, and the object that it builds without
+    `patch`."""
+    tried: tuple[str, ...]
     """Description of every patch that was tried, with the fault score before and after."""
-    seen: tuple[str, ...] = ()
+    seen: tuple[str, ...]
     """The critic's findings in the key frames."""
-    lost_critics: tuple[tuple[str, str], ...] = ()
+    lost_critics: tuple[tuple[str, str], ...]
     """Pairs of a request that a model failed to answer, and the reason."""
-    unmet: tuple[str, ...] = ()
+    unmet: tuple[str, ...]
     """Findings for which the critic asked for a new program that could not be requested."""
-    program: str | None = None
-    """Text of a new program that replaces the first program; None without a new program."""
-    program_json: str | None = None
-    """All rounds of the new program; see `SynthesisResult.to_json`."""
-    reprogrammed: ObjectSpec | None = None
-    """The object that the new program builds, without `patch`."""
 
     @property
     def changed(self) -> bool:
         """True if the object has a new program or a patch."""
-        return self.reprogrammed is not None or not self.patch.empty
+        return self.program is not None or not self.patch.empty
 
     @property
     def waived(self) -> tuple[Check, ...]:
@@ -68,13 +63,14 @@ class VerificationResult(BaseModel):
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
         """Return the object with the patch; a new program's object replaces `spec` first."""
-        spec = self.reprogrammed or spec
+        if self.program is not None and self.program.spec is not None:
+            spec = self.program.spec
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
     def to_json(self) -> str:
         """Return the verdict as JSON, with changes, tried patches and the critic's findings."""
         data = self.verdict.model_dump(mode="json")
-        data |= {"changes": self.changes, "tried": self.tried, "seen": self.seen}
+        data |= {"changes": self.patch.changes(), "tried": self.tried, "seen": self.seen}
         return json.dumps(data, indent=1) + "\n"
 
 
@@ -126,19 +122,16 @@ async def verify_object(
         critiques = await revise_with_models(
             repaired, models, options, surroundings=surroundings, source=source
         )
-    program = repaired.program
+    unchanged = repaired.patch.empty and repaired.program is None
     return VerificationResult(
         verdict=repaired.after,
-        before=None if repaired.patch.empty and program is None else repaired.before,
+        before=None if unchanged else repaired.before,
         patch=repaired.patch,
-        changes=repaired.patch.changes(),
+        program=repaired.program,
         tried=tuple(repaired.tried),
-        lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
+        lost_critics=tuple(repaired.lost_critics),
         unmet=tuple(repaired.unfulfilled),
-        program=None if program is None else program.text,
-        program_json=None if program is None else program.to_json(),
-        reprogrammed=None if program is None else program.spec,
     )
 
 

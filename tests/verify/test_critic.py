@@ -163,7 +163,7 @@ def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
     received = rewritten(objects.cupboard())
     result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), source=SOURCE)
     assert result.verdict.passed and not result.before.passed
-    assert result.program == "# another program"
+    assert result.program.text == "# another program"
     assert result.applied(flipped) == objects.cupboard()
     assert received[0][0] == "hinge: opens inwards -> turn it over"
     assert received[0][1].startswith("simulated by itself: ")
