@@ -24,7 +24,7 @@ from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
 from .write_sdf import sdf_text
-from .write_urdf import srdf_text, urdf_text
+from .write_urdf import urdf_text
 from .write_usd import usd_layer
 
 SceneOrObject = SceneSpec | ObjectSpec
@@ -94,7 +94,7 @@ def losses(kind: Format, described: SceneOrObject) -> list[str]:
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
-    """Write object.urdf, .srdf, .sdf, .usda and .xml, meshes/ and textures/ into a folder.
+    """Write object.urdf, .sdf, .usda and .xml, meshes/ and textures/ into a folder.
 
     Existing files are replaced. The same object always gives the same bytes.
 
@@ -195,7 +195,6 @@ def _files(
             files |= texture_files(described)
         if "urdf" in kinds:
             files["object.urdf"] = urdf_text(described).encode()
-            files["object.srdf"] = srdf_text(described).encode()
     if "mjcf" in kinds:
         height = _floor_height(described) if floor else None
         text = mjcf_text(described, target="mjx" if mjx else "mujoco", floor=height)
