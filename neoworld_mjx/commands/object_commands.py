@@ -136,18 +136,7 @@ class CheckCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, _listings(Path(result["target"]), result))
-
-
-def _listings(program: Path, result: CommandResult) -> list[str]:
-    """Format the output and the signals of a program."""
-    from ..checks.signals import Signal
-    from ..verify.checking import listings, read_program
-
-    if "signals" not in result:
-        return []
-    signals = [Signal.model_validate(entry) for entry in result["signals"]]
-    return listings(result.get("printed", ""), signals, program, read_program(program))
+        return object_check_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)

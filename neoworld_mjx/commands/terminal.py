@@ -41,7 +41,6 @@ class StatusLine(logging.Handler):
         stream: stream to which lines are printed, usually stderr.
         verbose: if True, also print progress records.
         quiet: if True, print only errors, and show no status line.
-        live: if True, show the status line. If None, show it if the stream is a terminal.
     """
 
     def __init__(
@@ -50,13 +49,12 @@ class StatusLine(logging.Handler):
         *,
         verbose: bool = False,
         quiet: bool = False,
-        live: bool | None = None,
     ) -> None:
         super().__init__(logging.DEBUG)
         self._stream, self._verbose, self._quiet = stream, verbose, quiet
         self._facts: dict[str, Any] = {}
         self._step_start = time.monotonic()
-        self._console = _TolerantConsole(file=stream, force_terminal=live, soft_wrap=True)
+        self._console = _TolerantConsole(file=stream, soft_wrap=True)
         self._live = Live(
             console=self._console,
             get_renderable=lambda: Text(printable(self.text()), no_wrap=True, overflow="ellipsis"),

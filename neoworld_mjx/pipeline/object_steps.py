@@ -103,7 +103,6 @@ def program_objects(context: StepContext) -> None:
     tree, known = read_tree(run, before="program"), kept_evidence(run).objects
     known.check_names(tree)
     crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
-    run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, crop_by_name, colours, options, known.assets)
 
     async def program_one(node: TreeNode) -> None:

@@ -48,22 +48,13 @@ def build_patched(program: Path, options: ProgramOptions) -> PatchedProgram:
     Raises:
         SpecError: the program or patch cannot be read, or the patched object is invalid.
     """
-    text = read_program(program)
+    text = read_untrusted_text(program, SpecError)
     built = build(text, options)
     patch = read_patch(program)
     if patch is None or built.spec is None:
         return PatchedProgram(text, built, patch)
     spec, stale = apply(patch, built.spec)
     return PatchedProgram(text, replace(built, spec=spec), patch, stale)
-
-
-def read_program(program: Path) -> str:
-    """Return a program's text.
-
-    Raises:
-        SpecError: the file cannot be read or is not text.
-    """
-    return read_untrusted_text(program, SpecError)
 
 
 def listings(printed: str, signals: Iterable[Signal], file: Path, text: str) -> list[str]:
@@ -148,8 +139,7 @@ def check_object(
         output["signals"] = [
             {"code": s.code, **s.model_dump(exclude_defaults=True)} for s in built.signals
         ]
-        if built.printed:
-            output["printed"] = built.printed
+        output["listing"] = listings(built.printed, built.signals, path, patched.text)
         if built.spec is None:
             return {**output, "passed": False, "checks": []}
         spec, allowed = built.spec, built.allowances
@@ -195,7 +185,10 @@ def _report(result: VerificationResult) -> dict[str, Any]:
         "battery": VERSION,
         "counts": {name: outcomes.count(name) for name in ("PASS", "FAIL", "SKIP", "TOOL_FAILURE")}
         | {"doubtful": len(verdict.borderline)},
-        "checks": [check.model_dump(mode="json", exclude_defaults=True) for check in worst_first],
+        "checks": [
+            check.model_dump(mode="json", exclude_defaults=True) | {"phrase": check.phrase()}
+            for check in worst_first
+        ],
     }
     if result.tried:
         report["repair"] = {

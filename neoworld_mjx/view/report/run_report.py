@@ -95,7 +95,7 @@ def _header(run: dict[str, Any], title: str) -> Markup:
     facts = [
         f"seed {run.get('seeds', {}).get('run')}",
         f"options {run.get('fingerprint')}",
-        f"engine {run['device']['engine']}" if run["device"].get("engine") else "",
+        f"engine {metrics['engine']}" if metrics.get("engine") else "",
         f"on {run['device'].get('cores')} cores",
         f"started {run['started']}" if run.get("started") else "",
     ]
