@@ -83,7 +83,7 @@ def read_asset(file: Path, *, any_unit: bool = False) -> ObjectSpec:
     Raises:
         EvidenceError: the file cannot be read, contains no single object, or is in another unit.
     """
-    from ..verify.checking import import_object
+    from ..export.importing import import_object
     from .mesh_tree import doubt_unit
 
     try:
