@@ -1,7 +1,6 @@
 """Edits of a finished run by an agent.
 
-An edit writes the files that a person would edit: the layout patch, or an object's program and its
-results.
+An edit writes the files that a person would edit: the layout patch, or an object's program.
 """
 
 import json
@@ -13,7 +12,6 @@ from ..compose.layout_patch import ObjectPlacement, read_layout_patch, write_lay
 from ..config import Config
 from ..errors import SpecError, choices
 from ..io.files import write_inside
-from ..program.ask import written_without_model
 from ..program.building import build
 from ..spec import SceneSpec, joint_keys, support_frame, world_poses
 from ..spec.pose import conjugate, pose, rotate, yaw_of
@@ -43,20 +41,16 @@ def apply_edit(
         SpecError: a number is out of range, or the program does not build.
     """
     placement = placement_of(scene, name, move, turn_deg, joints)
-    files: dict[str, str] = {}
+    if placement is None and program is None:
+        return None
     if program is not None:
         built = build(program, config.program)
         if not built.ok:
             raise SpecError("; ".join(signal.phrase() for signal in built.signals))
-        texts = written_without_model("edit", program, built).files()
-        files = {f"objects/{name}/{file}": text for file, text in texts.items()}
-    if placement is None and not files:
-        return None
+        write_inside(out, f"objects/{name}/program.py", program)
     step: Changed = "compose" if program is None else "verify"
     parts = ["moved"] * any(move) + ["turned"] * bool(turn_deg) + ["joints set"] * bool(joints)
-    edit = f"{name}: {', '.join(parts + ['another program'] * bool(files))}"
-    for file, text in files.items():
-        write_inside(out, file, text)
+    edit = f"{name}: {', '.join(parts + ['another program'] * (program is not None))}"
     if placement is not None:
         write_layout_patch(out, read_layout_patch(out).merged(name, placement))
     return edit, step
