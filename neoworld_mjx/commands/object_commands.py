@@ -238,8 +238,9 @@ class ExportCommand(ConfiguredCommand):
             )
         config = self.load_config()
         target = read_target(self.target, config.program)
-        if isinstance(target, PatchedProgram) and target.built.errors:
-            raise SpecError(f"{self.target} does not build: {target.built.errors}")
+        if isinstance(target, PatchedProgram) and not target.built.ok:
+            errors = "; ".join(str(signal.message) for signal in target.built.signals)
+            raise SpecError(f"{self.target} does not build: {errors}")
         # Objects are free, so an object that its file fixes to the world is a scene.
         fixed = target if isinstance(target, Imported) and target.fixed_base else None
         described = target.spec if fixed is None else fixed.scene
