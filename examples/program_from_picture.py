@@ -23,6 +23,7 @@ from neoworld_mjx.config import load_config
 from neoworld_mjx.errors import NeoWorldError, ProgramError
 from neoworld_mjx.mllm import PROVIDERS, Picture, open_panel
 from neoworld_mjx.parse.photo import load_photo
+from neoworld_mjx.program.critique import Subject
 from neoworld_mjx.program.synthesise import SynthesisResult, synthesise
 from neoworld_mjx.program.views import draw
 from neoworld_mjx.spec import Box2D, Box3D, Camera, PartState, TreeNode
@@ -65,7 +66,7 @@ def program(args: argparse.Namespace) -> SynthesisResult:
     photo = load_photo(args.picture, config.parse.max_side_px)
     height, width = photo.rgb.shape[:2]
     node, camera = node_and_camera(args, width, height)
-    crop = Picture.of("crop", np.asarray(photo.rgb)).data
+    subject = Subject(node, Picture("crop", np.asarray(photo.rgb)), camera=camera)
     args.out.mkdir(parents=True, exist_ok=True)
     panel = open_panel(
         config.mllm,
@@ -75,7 +76,7 @@ def program(args: argparse.Namespace) -> SynthesisResult:
         record=args.out / "answers.tape.json",
     )
     with panel as models:
-        result = asyncio.run(synthesise(node, crop, models, config.program, camera=camera))
+        result = asyncio.run(synthesise(subject, models, config.program))
     (args.out / "program.json").write_text(result.to_json(), encoding="utf-8")
     if result.spec is None:
         raise ProgramError(f"{args.name}: {result.reason}")

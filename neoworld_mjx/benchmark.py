@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 COMMAND = "neoworld_bench.bench_commands:BenchCommand"
-"""Location of the class of the command `bench`; see `commands.CommandEntry`."""
+"""Location of the class of the command `bench`; see `commands.COMMANDS`."""
 
 
 def named_scenes() -> Mapping[str, Callable[[str], Any]]:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import __version__
-from .commands import COMMANDS
+from .commands import COMMANDS, load, summary
 from .errors import choices, expected_message
 from .progress import LOGGER
 
@@ -73,10 +73,10 @@ def help_text() -> str:
         "",
         "commands:",
     ]
-    for name, entry in COMMANDS.items():
+    for name in COMMANDS:
         first = f"  {name}".ljust(column)
         lines += textwrap.wrap(
-            entry.summary, width, initial_indent=first, subsequent_indent=" " * column
+            summary(name), width, initial_indent=first, subsequent_indent=" " * column
         )
     lines += ["", "COMMAND --help lists the options of COMMAND; --version prints the version"]
     return "\n".join(lines)
@@ -99,7 +99,7 @@ def parse(name: str, args: Sequence[str]) -> Any:
     import tyro
     from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitSubcommandPrefixes
 
-    command = COMMANDS[name].load()
+    command = load(name)
     verbs: dict[str, type] = getattr(command, "verbs", {})
     if args and args[0] in verbs:
         name, command, args = f"{name} {args[0]}", verbs[args[0]], args[1:]
@@ -148,7 +148,7 @@ def run(command: "Command") -> int:
             elif command.json:
                 print(json.dumps(strict_json(result)), file=out)
             elif "error" not in result:
-                rest = details(result) if command.verbose else ()
+                rest = [details(result)] * command.verbose
                 print(printable("\n".join([*command.lines(result), *rest])), file=out)
             out.flush()
         except OSError as error:

@@ -22,7 +22,7 @@ SMALL = {
     "verify": {"duration_s": 0.5},
     "refine": {"cem": {"population": 16, "iterations": 2}, "rollout": {"duration_s": 0.3}},
 }
-TIMED = {"run.json", "report.html", "run.log", ".lock"}
+TIMED = {"run.json", "report.html", ".lock"}
 """Files that contain times or process numbers."""
 KILLED = """
 import os, signal, sys

@@ -35,7 +35,6 @@ def test_the_command_prints_the_metrics_of_the_scene(example_run):
     assert answer["s_stab"] is True
     assert answer["max_drift_m"] < 0.008
     assert answer["max_tilt_deg"] < 3.5
-    assert abs(answer["mean_log_scale"]) < 0.1
     assert answer["fallbacks"] == []
     assert {note["step"] for note in answer["notes"]} <= {"parse", "compose", "refine"}
     assert set(answer["seconds"]) == {"parse", "program", "verify", "compose", "refine", "export"}
@@ -139,7 +138,7 @@ def test_another_process_gives_the_same_bytes(tmp_path, photo, example_run):
     files = [
         path.relative_to(again)
         for path in sorted(again.rglob("*"))
-        if path.is_file() and path.name not in ("run.json", "report.html", "run.log", ".lock")
+        if path.is_file() and path.name not in ("run.json", "report.html", ".lock")
     ]
     assert len(files) > 30
     assert (again / "scene.json").stat().st_mtime_ns != (out / "scene.json").stat().st_mtime_ns

@@ -196,7 +196,7 @@ def test_a_failed_step_leaves_no_file_and_sets_the_status(tmp_path):
             assert stage is not None
             (stage / "tree.json").write_text("half")
             1 / 0  # noqa: B018
-    assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json", "run.log"]
+    assert sorted(p.name for p in out.iterdir()) == [".lock", "run.json"]
     assert read_run(out)["status"] == "failed"
     assert read_run(out)["steps"] == {}
     assert _two_steps(out, "resume") == ["parse", "compose"]

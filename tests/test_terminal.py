@@ -1,13 +1,8 @@
 """Output of commands in a terminal: short results, signals of programs, status line and log."""
 
-import logging
-
 import pytest
 
-from neoworld_mjx.config import Config
-from neoworld_mjx.errors import SpecError
 from neoworld_mjx.program import build
-from neoworld_mjx.run_folder import RunFolder
 
 GOOD = """from neoworld_mjx.program.sdk import Object, box
 o = Object("thing", "a thing")
@@ -73,21 +68,3 @@ def test_check_shows_signals_with_their_lines_and_what_was_printed(neoworld, tmp
     assert code == 0 and "unknown" not in out
     assert out.splitlines()[0] == "thing.py printed: size 3"
     assert "valid: thing passes all" in out and len(out.splitlines()) <= 5
-
-
-def test_a_run_keeps_its_log_and_its_outcome(tmp_path):
-    out = tmp_path / "out"
-    with pytest.raises(SpecError), RunFolder(out, Config()) as run:
-        run.fallback("parse", "a line\nof two", "\x1b[31m")
-        raise SpecError("no such thing")
-    log = (out / "run.log").read_text()
-    assert "WARNING parse: a line | of two: \\x1b[31m" in log
-    assert log.splitlines()[-1].endswith("ERROR run: failed: no such thing")
-    assert not logging.getLogger("neoworld_mjx").handlers or all(
-        type(each).__name__ != "RunLog" for each in logging.getLogger("neoworld_mjx").handlers
-    )
-    with RunFolder(out, Config(), "resume"):
-        pass
-    assert "run: failed: no such thing" in (out / "run.log").read_text()
-    with RunFolder(out, Config(), "overwrite"):
-        pass

@@ -4,111 +4,54 @@ To add a command, write its class and add a row to `COMMANDS`. A command's modul
 if the command is used, and large packages are imported inside `run`, so that `--help` is fast.
 """
 
+import ast
 from importlib import import_module
-from typing import NamedTuple
+from importlib.util import find_spec
+from pathlib import Path
 
 from ..benchmark import COMMAND as BENCH_COMMAND
 
-
-class CommandEntry(NamedTuple):
-    """Location and summary of a command."""
-
-    location: str
-    """Location of the class as "module:Class"; a module that starts with "." is relative to this
-    package."""
-    summary: str
-    """First paragraph of the class's docstring."""
-
-    def load(self) -> type:
-        """Import the class."""
-        module, name = self.location.split(":")
-        return getattr(import_module(module, __name__), name)
-
-
-COMMANDS: dict[str, CommandEntry] = {
-    "reconstruct": CommandEntry(
-        ".run_commands:ReconstructCommand",
-        "Reconstruct a simulation-ready scene from a photograph.",
-    ),
-    "examples": CommandEntry(
-        ".run_commands:ExamplesCommand",
-        "List the bundled photographs, which `neoworld reconstruct NAME --out DIR` takes.",
-    ),
-    "refine": CommandEntry(
-        ".run_commands:RefineCommand",
-        "Refine the composed scene of a run again, and export it; earlier steps are reused.",
-    ),
-    "check": CommandEntry(
-        ".object_commands:CheckCommand",
-        "Check a scene or an object, and print each check with its value and threshold.",
-    ),
-    "template": CommandEntry(
-        ".object_commands:TemplateCommand",
-        "List the object templates, or write the program of one.",
-    ),
-    "sample": CommandEntry(
-        ".sample_command:SampleCommand",
-        "Draw scenes that a photograph allows, and count in how many of them every object rests.",
-    ),
-    "train": CommandEntry(
-        ".policy_commands:TrainCommand",
-        "Train a policy in a scene: a robot or a flying gripper that does a task.",
-    ),
-    "evaluate": CommandEntry(
-        ".policy_commands:EvaluateCommand",
-        "Run a policy in scenes that it has not seen, and count its successes.",
-    ),
-    "play": CommandEntry(".policy_commands:PlayCommand", "Write a video of a policy in a scene."),
-    "export": CommandEntry(
-        ".export_command:ExportCommand",
-        "Export a scene or an object to a format or for a simulator, and list what is lost.",
-    ),
-    "preview": CommandEntry(
-        ".picture_commands:PreviewCommand",
-        "Draw a response to the request `parse` on the photograph, and check it, before it is "
-        "given.",
-    ),
-    "render": CommandEntry(
-        ".picture_commands:RenderCommand",
-        "Render a scene or an object from the scene's or another camera.",
-    ),
-    "report": CommandEntry(
-        ".run_commands:ReportCommand", "Write report.html of a run, finished or not."
-    ),
-    "view": CommandEntry(
-        ".picture_commands:ViewCommand",
-        "Show a scene or an object in the browser, with its joints and in free fall.",
-    ),
-    "annotate": CommandEntry(
-        ".picture_commands:AnnotateCommand",
-        "Annotate a photograph by hand, without a model: boxes, labels, camera and templates.",
-    ),
-    "mcp": CommandEntry(
-        ".mcp_command:McpCommand",
-        "Let an agent that sees pictures answer a run's requests (Model Context Protocol).",
-    ),
-    "skill": CommandEntry(
-        ".mcp_command:SkillCommand",
-        "Print the skill for coding agents, or install it into a folder of skills.",
-    ),
-    "sweep": CommandEntry(
-        ".sweep_commands:SweepCommand",
-        "Refine scenes with all combinations of the values of some options, and with several "
-        "seeds.",
-    ),
-    "ablate": CommandEntry(
-        ".sweep_commands:AblateCommand",
-        "Refine scenes with base options and named variants, and list the differences.",
-    ),
-    "doctor": CommandEntry(
-        ".doctor_command:DoctorCommand",
-        "List installed components, available engines, and what missing components prevent.",
-    ),
-    "bench": CommandEntry(
-        BENCH_COMMAND,
-        "Run benchmarks of methods and engines, and write their data set.",
-    ),
+COMMANDS: dict[str, str] = {
+    "reconstruct": ".run_commands:ReconstructCommand",
+    "examples": ".run_commands:ExamplesCommand",
+    "refine": ".run_commands:RefineCommand",
+    "check": ".object_commands:CheckCommand",
+    "template": ".object_commands:TemplateCommand",
+    "sample": ".policy_commands:SampleCommand",
+    "train": ".policy_commands:TrainCommand",
+    "evaluate": ".policy_commands:EvaluateCommand",
+    "play": ".policy_commands:PlayCommand",
+    "export": ".object_commands:ExportCommand",
+    "preview": ".picture_commands:PreviewCommand",
+    "render": ".picture_commands:RenderCommand",
+    "report": ".run_commands:ReportCommand",
+    "view": ".picture_commands:ViewCommand",
+    "annotate": ".picture_commands:AnnotateCommand",
+    "mcp": ".mcp_command:McpCommand",
+    "skill": ".mcp_command:SkillCommand",
+    "sweep": ".sweep_commands:SweepCommand",
+    "ablate": ".sweep_commands:AblateCommand",
+    "doctor": ".doctor_command:DoctorCommand",
+    "bench": BENCH_COMMAND,
 }
-"""Commands by name, in the order in which `--help` lists them."""
+"""Location of the class of each command as "module:Class", in the order in which `--help` lists
+them; a module that starts with "." is relative to this package."""
 
-__all__ = ["COMMANDS", "CommandEntry"]
+
+def load(name: str) -> type:
+    """Import the class of a command."""
+    module, kind = COMMANDS[name].split(":")
+    return getattr(import_module(module, __name__), kind)
+
+
+def summary(name: str) -> str:
+    """Return the first paragraph of the docstring of a command's class, without importing it."""
+    module, kind = COMMANDS[name].split(":")
+    found = find_spec(module, __name__)
+    assert found is not None and found.origin is not None
+    tree = ast.parse(Path(found.origin).read_bytes())
+    (command,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == kind)
+    return " ".join((ast.get_docstring(command) or "").partition("\n\n")[0].split())
+
+
+__all__ = ["COMMANDS", "load", "summary"]

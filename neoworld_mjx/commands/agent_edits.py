@@ -1,28 +1,17 @@
-"""Edits of a finished run by an agent, and how they are taken back.
+"""Edits of a finished run by an agent.
 
-An edit writes the files that a person would edit: the layout patch, or an object's program and its
-results. Their earlier texts are kept in `history/edits/NUMBER.json` of the run folder.
+An edit writes the files that a person would edit: the layout patch, or an object's program.
 """
 
 import json
 import math
-import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, StringConstraints
-
-from ..compose.layout_patch import (
-    LAYOUT_PATCH,
-    ObjectPlacement,
-    read_layout_patch,
-    write_layout_patch,
-)
+from ..compose.layout_patch import ObjectPlacement, read_layout_patch, write_layout_patch
 from ..config import Config
-from ..errors import RunError, SpecError, choices
-from ..io import read_model
+from ..errors import SpecError, choices
 from ..io.files import write_inside
-from ..program.ask import written_without_model
 from ..program.building import build
 from ..spec import SceneSpec, joint_keys, support_frame, world_poses
 from ..spec.pose import conjugate, pose, rotate, yaw_of
@@ -30,25 +19,7 @@ from ..spec.pose import conjugate, pose, rotate, yaw_of
 FARTHEST_M = 100.0
 """Maximum shift of an object by an edit, along each axis [m]."""
 LIMITED = ("revolute", "prismatic")
-EDITS = "history/edits"
 Changed = Literal["compose", "verify"]
-File = Annotated[
-    str,
-    StringConstraints(
-        pattern=r"^(layout\.patch\.json|objects/[^/\\]+/(program\.(py|json)|spec\.json))$"
-    ),
-]
-
-
-class _Kept(BaseModel):
-    """Record of an edit: the values that it replaced."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    edit: str
-    step: Changed
-    files: dict[File, str | None]
-    """Earlier text of each file; None if there was none."""
 
 
 def apply_edit(
@@ -70,52 +41,19 @@ def apply_edit(
         SpecError: a number is out of range, or the program does not build.
     """
     placement = placement_of(scene, name, move, turn_deg, joints)
-    files: dict[str, str] = {}
+    if placement is None and program is None:
+        return None
     if program is not None:
         built = build(program, config.program)
         if not built.ok:
             raise SpecError("; ".join(signal.phrase() for signal in built.signals))
-        texts = written_without_model("edit", program, built).files()
-        files = {f"objects/{name}/{file}": text for file, text in texts.items()}
-    if placement is None and not files:
-        return None
+        write_inside(out, f"objects/{name}/program.py", program)
     step: Changed = "compose" if program is None else "verify"
     parts = ["moved"] * any(move) + ["turned"] * bool(turn_deg) + ["joints set"] * bool(joints)
-    edit = f"{name}: {', '.join(parts + ['another program'] * bool(files))}"
-    changed = [*files, *([LAYOUT_PATCH] if placement is not None else [])]
-    earlier = {
-        file: (out / file).read_text("utf-8") if (out / file).is_file() else None
-        for file in changed
-    }
-    kept = _Kept(edit=edit, step=step, files=earlier)
-    write_inside(out, f"{EDITS}/{len(_edits(out)) + 1:04d}.json", kept.model_dump_json(indent=1))
-    for file, text in files.items():
-        write_inside(out, file, text)
+    edit = f"{name}: {', '.join(parts + ['another program'] * (program is not None))}"
     if placement is not None:
         write_layout_patch(out, read_layout_patch(out).merged(name, placement))
     return edit, step
-
-
-def undo_edit(out: Path) -> tuple[str, Changed]:
-    """Restore the files that the last edit replaced.
-
-    Returns:
-        What was taken back, and the step from which the run repeats.
-
-    Raises:
-        RunError: there is no edit, or its record cannot be read.
-    """
-    edits = _edits(out)
-    if not edits:
-        raise RunError("no edit to take back")
-    kept = read_model(edits[-1], _Kept, RunError, "an edit")
-    for file, text in kept.files.items():
-        if text is not None:
-            write_inside(out, file, text)
-        else:
-            (out / file).unlink(missing_ok=True)
-    edits[-1].unlink()
-    return f"taken back: {kept.edit}; earlier edits: {len(edits) - 1}", kept.step
 
 
 def pose_in_words(scene: SceneSpec, name: str) -> str:
@@ -135,12 +73,6 @@ def fall_of_agreement(earlier: dict[str, Any], later: dict[str, Any], name: str)
     if before is None or after is None or round(after, 2) >= round(before, 2):
         return ""
     return f"{before:.2f} -> {after:.2f}"
-
-
-def _edits(out: Path) -> list[Path]:
-    """Return the records of edits, oldest first."""
-    paths = sorted((out / EDITS).glob("*.json"))
-    return [path for path in paths if re.fullmatch(r"\d{4}\.json", path.name)]
 
 
 def placement_of(

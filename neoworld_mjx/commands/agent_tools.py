@@ -245,20 +245,19 @@ class AgentTools:
     def check(self) -> Content:
         """Check the scene, and list each check with its value and threshold."""
         from .object_commands import CheckCommand
-        from .terminal import details
 
         command = CheckCommand(target=self.agent_run.with_scene("scene.json"))
         result = command.run()
-        return ["\n".join([*command.lines(result)[:-1], *details({"checks": result["checks"]})])]
+        rows = [f"{'pass' if c['passed'] else 'fail'}: {c['phrase']}" for c in result["checks"]]
+        return ["\n".join([*command.lines(result)[:-1], *rows])]
 
     def edit(
         self,
-        object: str = "",
+        object: str,
         move: tuple[float, float] = (0.0, 0.0),
         turn_deg: float = 0.0,
         joints: dict[str, float] | None = None,
         program: str | None = None,
-        undo: bool = False,
         wait_s: float = 45.0,
     ) -> Content:
         """Change an object of a finished run, compute the later steps again, and return the result.
@@ -271,32 +270,28 @@ class AgentTools:
             turn_deg: turn about the vertical [deg], anticlockwise seen from above.
             joints: positions by joint [rad or m].
             program: another program; the object is scaled to its size in the photograph.
-            undo: take back the last edit instead; repeatable.
             wait_s: maximum time to wait for the result [s]; after that, call next_request().
         """
         from ..spec import read_scene
-        from .agent_edits import apply_edit, fall_of_agreement, pose_in_words, undo_edit
+        from .agent_edits import apply_edit, fall_of_agreement, pose_in_words
 
         out = self.agent_run.current()
         if self.agent_run.result is None:
             raise RunError(f"the run has not finished: {self.agent_run.state()}")
         scene, earlier = read_scene(out), self.agent_run.result.metrics
         names = [item.name for item in scene.objects]
-        if undo:
-            done, step = undo_edit(out)
-        else:
-            if object not in names:
-                raise SpecError(f"object: {choices(object, names)}")
-            change = apply_edit(
-                out, scene, object, move, turn_deg, joints or {}, program, self.agent_run.config()
-            )
-            if change is None:
-                return [pose_in_words(scene, object)]
-            done, step = change
+        if object not in names:
+            raise SpecError(f"object: {choices(object, names)}")
+        change = apply_edit(
+            out, scene, object, move, turn_deg, joints or {}, program, self.agent_run.config()
+        )
+        if change is None:
+            return [pose_in_words(scene, object)]
+        done, step = change
         self.agent_run.repeat(step)
         self.agent_run.wait(min(max(wait_s, 0.0), 600.0))
         rows = [done, *self.status()]
-        if self.agent_run.result is not None and object in names:
+        if self.agent_run.result is not None:
             later = self.agent_run.result.metrics
             if joints and (fall := fall_of_agreement(earlier, later, object)):
                 rows += [f"box IoU of {object} {fall}: the photograph shows its joints elsewhere"]
@@ -319,7 +314,7 @@ class AgentTools:
             out: new folder in the server's folder; default: RUN-export.
             overwrite: write into a folder that is not empty.
         """
-        from .export_command import ExportCommand
+        from .object_commands import ExportCommand
 
         target = self.agent_run.with_scene("scene.json")
         folder = self.agent_run.path(out or f"{target.name}-export")

@@ -193,7 +193,7 @@ def build_server(folder: Path) -> "MCPServer":
 
     @server.resource("neoworld://picture/{name}", mime_type="image/png")
     def picture(name: str) -> bytes:
-        """Picture of the run: parse, before, after, outlines or evidence."""
+        """Picture of the run: parse, before, after or outlines."""
         return read(f"pictures/{name}.png")
 
     return server

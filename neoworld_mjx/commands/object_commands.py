@@ -1,18 +1,19 @@
-"""Commands `check` and `template`, for objects and scenes."""
+"""Commands `check`, `template` and `export`, for objects and scenes."""
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
+from ..names import FORMATS, PREFERRED_FORMATS, Format, Simulator
 from ..quantities import count
 from .base_command import Command, CommandResult, ConfiguredCommand
-from .result_lines import object_check_lines, scene_check_lines, wrapped
+from .result_lines import export_lines, object_check_lines, scene_check_lines, wrapped
 
 if TYPE_CHECKING:
     from ..config import Config, RefineOptions
@@ -44,62 +45,35 @@ class CheckCommand(ConfiguredCommand):
         config = self.load_config()
         if self.samples < 0:
             raise SpecError(f"--samples {self.samples}: name a positive number of draws")
-        notes: list[str] = []
-        scene: SceneSpec | None = None
-        from ..export.importing import (
-            FILES,
-            USD,
-            Imported,
-            ImportedScene,
-            import_file,
-            only_object,
+        from ..export.importing import ImportedScene
+        from ..verify.checking import check_object
+        from ..verify.read_target import read_target
+
+        alone = self.repair or self.fixed_base
+        target = read_target(self.target, config.program, alone=alone)
+        if isinstance(target, ImportedScene):
+            if alone or self.out is not None:
+                raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
+            return self._check_scene(target.spec, target.notes, config)
+        if self.samples:
+            raise SpecError(f"{self.target} is an object: --samples needs an aligned scene")
+        return check_object(
+            self.target,
+            target,
+            config,
+            fixed_base=self.fixed_base,
+            repair=self.repair,
+            out=self.out,
         )
-        from ..verify.checking import object_of_file
-
-        target = self._file()
-        suffix = target.suffix.lower()
-        imported = import_file(target) if suffix in (*FILES, *USD) else None
-        if target.name == "spec.json":
-            imported = Imported(object_of_file(target, config.program), ())
-        if isinstance(imported, ImportedScene) and (self.repair or self.fixed_base):
-            imported = only_object(imported) or imported
-        if isinstance(imported, ImportedScene):
-            scene, notes = imported.spec, list(imported.notes)
-        elif imported is not None or suffix == ".py":
-            from ..verify.checking import check_object
-
-            if self.samples:
-                raise SpecError(f"{self.target} is an object: --samples needs an aligned scene")
-            return check_object(
-                target,
-                config,
-                imported=imported,
-                fixed_base=self.fixed_base,
-                repair=self.repair,
-                out=self.out,
-            )
-        if self.repair or self.fixed_base or self.out is not None:
-            raise SpecError(f"{self.target}: a scene cannot be repaired here; use refine")
-        return self._check_scene(scene, notes, config)
-
-    def _file(self) -> Path:
-        """Return the target or, if it is the folder of an object, the file of the object."""
-        folder = self.target
-        if not any((folder / name).is_file() for name in ("run.json", "scene.json")):
-            for name in ("program.py", "spec.json"):
-                if (folder / name).is_file():
-                    return folder / name
-        return folder
 
     def _check_scene(
-        self, scene: "SceneSpec | None", notes: list[str], config: "Config"
+        self, spec: "SceneSpec", notes: Sequence[str], config: "Config"
     ) -> CommandResult:
-        """Check an imported scene or, if it is None, the scene of the target."""
+        """Check the scene of the target."""
         from ..measure import measured, scene_checks, with_displacement
         from ..run_folder import read_run, run_options
-        from ..spec import read_scene
 
-        spec, options, run = scene or read_scene(self.target), config.refine, None
+        options, run = config.refine, None
         if (self.target / "run.json").is_file():
             run = read_run(self.target)
             if self.config is None and not self.set:
@@ -110,7 +84,7 @@ class CheckCommand(ConfiguredCommand):
         checks = scene_checks(measure, options)
         return {
             "target": str(self.target),
-            **({"notes": notes} if notes else {}),
+            **({"notes": list(notes)} if notes else {}),
             "passed": all(check.passed for check in checks),
             "checks": [check.to_json() for check in checks],
             **measure.model_dump(),
@@ -135,18 +109,7 @@ class CheckCommand(ConfiguredCommand):
         """Return a short summary of the result."""
         if "movable" in result:
             return scene_check_lines(result)
-        return object_check_lines(result, _listings(Path(result["target"]), result))
-
-
-def _listings(program: Path, result: CommandResult) -> list[str]:
-    """Format the output and the signals of a program."""
-    from ..checks.signals import Signal
-    from ..verify.checking import listings, read_program
-
-    if "signals" not in result:
-        return []
-    signals = [Signal.model_validate(entry) for entry in result["signals"]]
-    return listings(result.get("printed", ""), signals, program, read_program(program))
+        return object_check_lines(result)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,3 +197,68 @@ def _parameter(name: str, described: Mapping[str, Any]) -> str:
         return f"{name} {value} ({', '.join(map(str, described['choices']))})"
     low, high = described["range"]
     return f"{name} {value:g} ({low:g} to {high:g}{unit})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand(ConfiguredCommand):
+    """Export a scene or an object to a format or for a simulator, and list what is lost."""
+
+    target: Positional[Path]
+    """A run folder, a scene.json, an object's folder, a program (.py), a URDF, MJCF or glTF
+    file."""
+    out: Path
+    """Output folder, new or empty."""
+    format: UseAppendAction[tuple[Format, ...]] = ()
+    """Format to write; repeatable. Default: all."""
+    simulator: Annotated[Simulator | None, arg(name="for")] = None
+    """Simulator for which files are written, by default in the formats that suit it best. For mjx,
+    colliders are converted to supported ones."""
+    floor: bool = False
+    """Add an infinite floor plane at z = 0, or below the lowest free object (MJCF)."""
+    overwrite: bool = False
+    """Allow an output folder that is not empty."""
+
+    def run(self) -> CommandResult:
+        """Write the files."""
+        from ..export.formats import collider_error, losses, write_formats
+        from ..export.object_of_mechanism import Imported
+        from ..verify.read_target import PatchedProgram, read_target
+
+        if self.out.exists() and not self.out.is_dir():
+            raise RunError(f"{self.out} is a file; name a folder")
+        if self.out.is_dir() and any(self.out.iterdir()) and not self.overwrite:
+            raise RunError(f"{self.out} is not empty: name a new folder, or use --overwrite")
+        kinds = self.format or (PREFERRED_FORMATS[self.simulator] if self.simulator else FORMATS)
+        mjx = self.simulator == "mjx"
+        if mjx and "mjcf" not in kinds:
+            raise SpecError("for mjx, MJCF is written: name no format, or mjcf among the formats")
+        if self.floor and "mjcf" not in kinds:
+            raise SpecError(
+                "--floor is written to MJCF only: add --format mjcf, or a floor in the simulator"
+            )
+        config = self.load_config()
+        target = read_target(self.target, config.program)
+        if isinstance(target, PatchedProgram) and not target.built.ok:
+            errors = "; ".join(str(signal.message) for signal in target.built.signals)
+            raise SpecError(f"{self.target} does not build: {errors}")
+        # Objects are free, so an object that its file fixes to the world is a scene.
+        fixed = target if isinstance(target, Imported) and target.fixed_base else None
+        described = target.spec if fixed is None else fixed.scene
+        files = write_formats(
+            described, self.out, kinds, simulator=self.simulator, floor=self.floor
+        )
+        result: CommandResult = {
+            "target": str(self.target),
+            "folder": str(self.out),
+            "files": files,
+            "lost": {kind: losses(kind, described) for kind in kinds},
+        }
+        if target.notes:
+            result["notes"] = list(target.notes)
+        if mjx:
+            result["collider_error_mm"] = round(1e3 * collider_error(described), 3)
+        return result
+
+    def lines(self, result: CommandResult) -> list[str]:
+        """Return a short summary of the result."""
+        return export_lines(result)

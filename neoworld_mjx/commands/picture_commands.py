@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import Command, CommandResult, ConfiguredCommand
-from .evidence_flags import EvidenceFlags
+from .base_command import Command, CommandResult, ConfiguredCommand, EvidenceFlags
 
 if TYPE_CHECKING:
     from ..render import View

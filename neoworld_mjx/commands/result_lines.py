@@ -51,21 +51,16 @@ def scene_check_lines(result: CommandResult) -> list[str]:
     return [verdict_line(result), *drawn, f"scene: {result['target']}", *notes, DETAILS]
 
 
-def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[str]:
-    """Summarize the check of an object.
+def object_check_lines(result: CommandResult) -> list[str]:
+    """Summarize the check of an object."""
+    from ..checks.verdict import BUDGET
 
-    Args:
-        result: result of `check`.
-        listings: formatted signals of the object's program.
-    """
-    from ..checks.verdict import BUDGET, Check
-
-    rows = list(listings)
+    rows = list(result.get("listing", ()))
     if "object" not in result:
         return [*rows, f"not valid: {result['target']} does not build"]
     counts = result["counts"]
     ran = counts["PASS"] + counts["FAIL"] + counts["TOOL_FAILURE"]
-    failed = [check for entry in result["checks"] if (check := Check.model_validate(entry)).failed]
+    failed = [e for e in result["checks"] if e["outcome"] in ("FAIL", "TOOL_FAILURE")]
     if result["passed"]:
         borderline = f", {counts['doubtful']} of them borderline" if counts["doubtful"] else ""
         rows.append(f"valid: {result['object']} passes all {ran} checks{borderline}")
@@ -75,10 +70,10 @@ def object_check_lines(result: CommandResult, listings: Sequence[str]) -> list[s
         rows.append(f"not valid: {result['object']}: {why}{likely}")
     rows += _indented(
         [
-            " ".join(filter(None, (check.scenario, check.part, check.joint)))
-            + f": {check.phrase()}"
-            + (f"; hint: {check.hint}" if check.hint else "")
-            for check in failed
+            " ".join(entry[key] for key in ("scenario", "part", "joint") if key in entry)
+            + f": {entry['phrase']}"
+            + (f"; hint: {entry['hint']}" if "hint" in entry else "")
+            for entry in failed
         ]
     )
     rows += [f"not tested: {e['hint']}" for e in result["checks"] if e["name"] == BUDGET]

@@ -10,8 +10,7 @@ from ..engines import EngineChoice
 from ..errors import ConfigError
 from ..names import Step
 from ..quantities import count
-from .base_command import Command, CommandResult, ConfiguredCommand
-from .evidence_flags import EvidenceFlags
+from .base_command import Command, CommandResult, ConfiguredCommand, EvidenceFlags
 from .result_lines import DETAILS, run_lines
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import signal
 import socket
 import threading
@@ -9,12 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import yaml
 from rich.console import Console
 from rich.live import Live
-from rich.table import Column, Table
 from rich.text import Text
 
 from ..io.names import printable
+from ..io.text_files import strict_json
 from ..progress import LOGGER
 from ..quantities import count
 
@@ -39,7 +41,6 @@ class StatusLine(logging.Handler):
         stream: stream to which lines are printed, usually stderr.
         verbose: if True, also print progress records.
         quiet: if True, print only errors, and show no status line.
-        live: if True, show the status line. If None, show it if the stream is a terminal.
     """
 
     def __init__(
@@ -48,13 +49,12 @@ class StatusLine(logging.Handler):
         *,
         verbose: bool = False,
         quiet: bool = False,
-        live: bool | None = None,
     ) -> None:
         super().__init__(logging.DEBUG)
         self._stream, self._verbose, self._quiet = stream, verbose, quiet
         self._facts: dict[str, Any] = {}
         self._step_start = time.monotonic()
-        self._console = _TolerantConsole(file=stream, force_terminal=live, soft_wrap=True)
+        self._console = _TolerantConsole(file=stream, soft_wrap=True)
         self._live = Live(
             console=self._console,
             get_renderable=lambda: Text(printable(self.text()), no_wrap=True, overflow="ellipsis"),
@@ -161,39 +161,7 @@ def prompt_interrupts(end: Callable[[], object] | None) -> Iterator[None]:
         signals.close()
 
 
-def details(result: Mapping[str, Any], indent: str = "") -> Iterator[str]:
-    """Yield lines that show all entries of a result; lists of objects become tables."""
-    for key, value in result.items():
-        if isinstance(value, Mapping):
-            yield f"{indent}{key}:"
-            yield from details(value, indent + "  ")
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            yield f"{indent}{key}:"
-            yield from (f"{indent}  {line}" for line in _table(value))
-        else:
-            yield f"{indent}{key}: {_plain(value)}"
-
-
-def _table(rows: list[Mapping[str, Any]]) -> list[str]:
-    """Return the lines of a table with a column for each key."""
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = Table(
-        *(Column(Text(name)) for name in columns), box=None, padding=(0, 2, 0, 0), pad_edge=False
-    )
-    for row in rows:
-        table.add_row(*(Text(_plain(row[name]) if name in row else "") for name in columns))
-    console = Console(width=10_000, color_system=None)
-    with console.capture() as capture:
-        console.print(table)
-    return [line.rstrip() for line in capture.get().splitlines()]
-
-
-def _plain(value: Any) -> str:
-    """Format a value as text. Hidden characters are escaped later, when the text is printed."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value)) or "none"
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    if value is None or isinstance(value, bool):
-        return {None: "unknown", True: "yes", False: "no"}[value]
-    return str(value)
+def details(result: Mapping[str, Any]) -> str:
+    """Return all entries of a result as YAML."""
+    options: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": math.inf}
+    return yaml.safe_dump(strict_json(result), default_flow_style=None, **options).rstrip()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError, choices
-from ..export.write_drives import Drive, drives
+from ..export.drives import Drive, drives
 from ..export.write_mjcf import add_frames
 from ..physics.gripper import PREFIX, Gripper, attach_gripper
 from ..physics.mjcf import IMPRATIO, to_mjspec

@@ -20,12 +20,11 @@ from ..spec import (
     pieces,
     world_poses,
 )
-from .write_drives import drives_text
 from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
 from .write_mjcf import mjcf_text
 from .write_scene_usd import scene_usd_layer
 from .write_sdf import sdf_text
-from .write_urdf import srdf_text, urdf_text
+from .write_urdf import urdf_text
 from .write_usd import usd_layer
 
 SceneOrObject = SceneSpec | ObjectSpec
@@ -95,7 +94,7 @@ def losses(kind: Format, described: SceneOrObject) -> list[str]:
 
 
 def export_object(spec: ObjectSpec, out: Path) -> None:
-    """Write object.urdf, .srdf, .sdf, .usda and .xml, drives.xml, meshes/, textures/ into a folder.
+    """Write object.urdf, .sdf, .usda and .xml, meshes/ and textures/ into a folder.
 
     Existing files are replaced. The same object always gives the same bytes.
 
@@ -109,8 +108,7 @@ def export_scene(scene: SceneSpec, out: Path) -> None:
     """Write scene.json, .xml, .usda, .sdf and objects/<name>/ into a folder.
 
     scene.xml refers to the meshes and textures of the objects, and scene.usda refers to the USD
-    files of the objects. If there are joints to drive, drives.xml is also written; it adds
-    actuators to scene.xml. Objects are written at their final size.
+    files of the objects. Objects are written at their final size.
 
     Raises:
         ExportError: a file cannot be written.
@@ -197,14 +195,10 @@ def _files(
             files |= texture_files(described)
         if "urdf" in kinds:
             files["object.urdf"] = urdf_text(described).encode()
-            files["object.srdf"] = srdf_text(described).encode()
     if "mjcf" in kinds:
         height = _floor_height(described) if floor else None
         text = mjcf_text(described, target="mjx" if mjx else "mujoco", floor=height)
         files[f"{stem}.xml"] = text.encode()
-        drives = drives_text(described, f"{stem}.xml")
-        if drives is not None:
-            files["drives.xml"] = drives.encode()
     if "usd" in kinds:
         layer = usd_layer(described) if isinstance(described, ObjectSpec) else (
             scene_usd_layer(described, usd)

@@ -153,6 +153,23 @@ def scene_of_assemblies(path: Path, assemblies: list[Assembly]) -> ImportedScene
     return ImportedScene(scene, tuple(dict.fromkeys(notes)))
 
 
+def import_object(path: Path) -> Imported:
+    """Read a URDF or MJCF file with one object, and possibly a floor and other surroundings.
+
+    Raises:
+        SpecError: the file has another format, contains several objects, is malformed, or exceeds
+            the limits on size.
+    """
+    imported = import_file(path)
+    if isinstance(imported, ImportedScene):
+        lone = only_object(imported)
+        if lone is not None:
+            return lone
+        names = ", ".join(item.name for item in imported.spec.objects[:8])
+        raise SpecError(f"{path} contains several objects instead of one: {names}")
+    return imported
+
+
 def only_object(scene: ImportedScene) -> Imported | None:
     """Return the object of a scene that contains nothing else but fixed surroundings, or None."""
     items = [item for item in scene.spec.objects if not item.environment]

@@ -16,7 +16,7 @@ from ..quantities import count
 from ..spec import Box, Capsule, Cylinder, Ellipsoid, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .compile_mjcf import check_files, compiled, element_names
+from .compile_mjcf import check_files, compiled, element_names, unsupported
 from .mechanism import (
     SLIDE_M,
     WORLD,
@@ -28,7 +28,6 @@ from .mechanism import (
     gravity_notes,
     transformed,
 )
-from .mjcf_notes import unsupported
 from .write_mjcf import COLOR_SUFFIX
 
 _G, _J = mujoco.mjtGeom, mujoco.mjtJoint

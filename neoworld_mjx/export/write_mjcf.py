@@ -42,7 +42,6 @@ COLOR_SUFFIX = "-rgb"
 def mjcf_text(
     scene: SceneSpec | ObjectSpec,
     *,
-    timestep: float = 0.002,
     target: Literal["mujoco", "mjx"] = "mujoco",
     floor: float | None = None,
 ) -> str:
@@ -53,12 +52,11 @@ def mjcf_text(
 
     Args:
         scene: the scene or object.
-        timestep: time step of the simulation [s].
         target: if "mjx", write only features that MJX supports: polyhedra (stored in the file)
             instead of cylinders and ellipsoids, pyramidal friction cones, and no textures.
         floor: height of an infinite floor [m]; if None, there is no floor.
     """
-    model = to_mjspec(scene, visual=True, timestep=timestep)
+    model = to_mjspec(scene, visual=True)
     if isinstance(scene, SceneSpec):
         objects = [(item.name, item.spec, f"objects/{item.name}/") for item in scene.objects]
     else:

@@ -1,4 +1,4 @@
-"""Writes the URDF and SRDF of one object.
+"""Writes the URDF of one object.
 
 Link frames are those of `link_frames`, so joint origins are offsets without rotation. Sites and
 handles are links without geometry. <contact> states the root of the mean friction of a link's
@@ -12,7 +12,7 @@ between them; the middle hinge turns by at most a quarter turn in each direction
 
 Parts that a joint connects may touch, because they never collide in MuJoCo. URDF cannot exclude
 collisions, so in some simulators a drawer would jam in its case. Therefore the colliders of moving
-parts are shrunk by 0.5 mm on each side, and the SRDF lists the pairs for motion planners.
+parts are shrunk by 0.5 mm on each side.
 """
 
 import math
@@ -22,7 +22,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.mjcf import excluded_pairs
 from ..spec import GeomSpec, JointSpec, ObjectSpec, PartSpec, inertial
 from ..spec.convex import Piece
 from ..spec.kinematics import welded
@@ -77,17 +76,6 @@ def urdf_text(spec: ObjectSpec) -> str:
     taken.add(links[spec.root])
     for frame in frames(spec):
         _add_frame(robot, links[frame.part], frame, origins[frame.part], taken)
-    ET.indent(robot, " ")
-    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
-
-
-def srdf_text(spec: ObjectSpec) -> str:
-    """Return the SRDF, which lists pairs of links that never collide, for MoveIt and Pinocchio."""
-    robot = ET.Element("robot", name=spec.name)
-    links = link_names(spec)
-    for first, second in excluded_pairs(spec):
-        pair = {"link1": links[first], "link2": links[second]}
-        ET.SubElement(robot, "disable_collisions", {**pair, "reason": "Adjacent"})
     ET.indent(robot, " ")
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 

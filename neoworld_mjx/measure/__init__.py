@@ -11,14 +11,12 @@ from .scene_check import (
     SETTLED_AWAY,
     SceneCheck,
     SceneMeasure,
-    UnstableObject,
     measured,
     passes,
     rest_and_measure,
     resting,
     scene_checks,
     scene_measure,
-    unstable_objects,
     with_displacement,
 )
 
@@ -27,7 +25,6 @@ __all__ = [
     "Move",
     "SceneCheck",
     "SceneMeasure",
-    "UnstableObject",
     "box_iou",
     "iou_2d",
     "measured",
@@ -37,7 +34,6 @@ __all__ = [
     "resting",
     "scene_checks",
     "scene_measure",
-    "unstable_objects",
     "visible_box_iou",
     "with_displacement",
 ]

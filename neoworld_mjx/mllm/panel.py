@@ -7,8 +7,8 @@ For each request, the panel
 - sends an invalid response back to the model with the error, a limited number of times,
 - adds every call to the ledger, and records every response.
 
-A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`,
-`run`) and in any event loop (`ask`), even in several loops one after another. Keys of model
+A panel runs its own event loop in a thread. It therefore works in synchronous code (`ask_sync`)
+and in any event loop (`ask`), even in several loops one after another. Keys of model
 servers are read only from the environment, and removed from all output.
 """
 
@@ -85,7 +85,6 @@ def scrub(text: str, secrets: Iterable[str]) -> str:
 
 
 T = TypeVar("T", bound=BaseModel)
-R = TypeVar("R")
 
 CORRECTIONS = 3
 """Maximum number of times that an invalid response is sent back to the model with the error."""
@@ -154,23 +153,18 @@ class Panel:
 
         If the future is canceled, the request continues, so that a paid response is recorded.
         """
-        return self._submit(self._shielded(request))
+        with self._lock:
+            if self._loop is None:
+                self._loop = asyncio.new_event_loop()
+                self._thread = threading.Thread(
+                    target=self._loop.run_forever, name="neoworld-mllm", daemon=True
+                )
+                self._thread.start()
+            return asyncio.run_coroutine_threadsafe(self._shielded(request), self._loop)
 
     def ask_sync(self, request: Request[T]) -> Response[T]:
         """Return the response to a request, in code without an event loop."""
-        return self.run(self._shielded(request))
-
-    def run(self, work: Coroutine[Any, Any, R]) -> R:
-        """Run a coroutine on the panel's event loop and wait for its result.
-
-        The caller's thread may run an event loop, but not the panel's event loop.
-        """
-        future = self._submit(work)
-        try:
-            return future.result()
-        except BaseException:
-            future.cancel()
-            raise
+        return self.ask_soon(request).result()
 
     def close(self) -> None:
         """Close connections and stop the panel's thread; a later request starts a new one."""
@@ -189,16 +183,6 @@ class Panel:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-    def _submit(self, work: Coroutine[Any, Any, R]) -> "concurrent.futures.Future[R]":
-        with self._lock:
-            if self._loop is None:
-                self._loop = asyncio.new_event_loop()
-                self._thread = threading.Thread(
-                    target=self._loop.run_forever, name="neoworld-mllm", daemon=True
-                )
-                self._thread.start()
-            return asyncio.run_coroutine_threadsafe(work, self._loop)
 
     async def _shut_down(self) -> None:
         tasks = list(self._tasks)

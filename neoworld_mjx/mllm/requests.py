@@ -125,13 +125,9 @@ class Picture:
         Image.fromarray(self.rgb).save(buffer, "JPEG", quality=90)
         return "image/jpeg", buffer.getvalue()
 
-    @property
+    @cached_property
     def pixels(self) -> str:
         """sha256 of the size and the decoded RGB bytes; it does not depend on the encoder."""
-        return self._pixel_digest
-
-    @cached_property
-    def _pixel_digest(self) -> str:
         width, height = self.size
         return digest(f"{width}x{height}:".encode() + self.rgb.tobytes())
 

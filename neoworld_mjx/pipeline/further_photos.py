@@ -52,7 +52,7 @@ class _KeptBoxes(Spec):
 
 
 def read_further(
-    stated: StatedEvidence, photo: Photo, lens: Lens | None, max_side_px: int = 1568
+    stated: StatedEvidence, photo: Photo, lens: Lens | None
 ) -> tuple[FurtherPhoto, ...]:
     """Read the further photographs that evidence states.
 
@@ -60,7 +60,6 @@ def read_further(
         stated: the evidence, with paths from the working folder.
         photo: the first photograph.
         lens: its lens, if it has distortion.
-        max_side_px: longest side to which photographs are reduced [px].
 
     Raises:
         EvidenceError: a camera cannot be read, or contradicts its photograph.
@@ -69,13 +68,13 @@ def read_further(
     names = [Path(view.photo).name for view in stated.views]
     if twice := repeated(names):
         raise EvidenceError(f"further photographs need different names: {', '.join(twice)}")
-    return tuple(_read(view, stated, photo, lens, max_side_px) for view in stated.views)
+    return tuple(_read(view, stated, photo, lens) for view in stated.views)
 
 
 def _read(
-    view: StatedView, stated: StatedEvidence, first: Photo, lens: Lens | None, max_side_px: int
+    view: StatedView, stated: StatedEvidence, first: Photo, lens: Lens | None
 ) -> FurtherPhoto:
-    picture = load_photo(Path(view.photo), max_side_px, MODEL_MIN_SIDE_PX)
+    picture = load_photo(Path(view.photo), min_side_px=MODEL_MIN_SIDE_PX)
     name, rgb, focal, principal = picture.path.name, picture.rgb, None, (0.0, 0.0)
     if picture.sha256 == first.sha256:
         raise EvidenceError(f"{name} is the first photograph itself: give another one")

@@ -83,8 +83,8 @@ def read_asset(file: Path, *, any_unit: bool = False) -> ObjectSpec:
     Raises:
         EvidenceError: the file cannot be read, contains no single object, or is in another unit.
     """
-    from ..verify.checking import import_object
-    from .input_doubts import doubt_unit
+    from ..export.importing import import_object
+    from .mesh_tree import doubt_unit
 
     try:
         imported = import_object(file)

@@ -11,6 +11,7 @@ from ..errors import ProgramError, SpecError
 from ..io import read_object
 from ..mllm.panel import run_coroutine
 from ..parse.crops import Crop, SupportColour, crops, support_colours
+from ..program.critique import Subject
 from ..program.synthesise import ProgramSource, all_instructions, synthesise
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
@@ -102,7 +103,6 @@ def program_objects(context: StepContext) -> None:
     tree, known = read_tree(run, before="program"), kept_evidence(run).objects
     known.check_names(tree)
     crop_by_name, colours = crops(photo, tree), support_colours(photo, tree)
-    run.record("supports", **{name: colour._asdict() for name, colour in colours.items()})
     inputs = program_inputs(tree, crop_by_name, colours, options, known.assets)
 
     async def program_one(node: TreeNode) -> None:
@@ -113,14 +113,9 @@ def program_objects(context: StepContext) -> None:
             write_asset(run, name, node.name, known.assets[node.name], inputs[node.name])
             return
         run.begin(name)
-        result = await synthesise(
-            node,
-            crop_by_name[node.name],
-            models,
-            options,
-            camera=tree.camera,
-            colour=None if colour is None else colour.rgb,
-        )
+        rgb = None if colour is None else colour.rgb
+        subject = _subject(node, crop_by_name[node.name], tree)
+        result = await synthesise(subject, models, options, colour=rgb)
         if result.spec is None:
             raise ProgramError(f"object {node.name}: {result.reason}")
         with run.step(name, inputs[node.name]) as out:
@@ -139,6 +134,10 @@ def program_objects(context: StepContext) -> None:
 
     run_coroutine(_all_or_first_error(map(program_one, tree.nodes)))
     _correct_sizes(run, tree)
+
+
+def _subject(node: TreeNode, crop: Crop, tree: SceneTree) -> Subject:
+    return Subject(node, crop.picture, crop.note, tree.camera, crop.window)
 
 
 def program_inputs(
@@ -239,7 +238,7 @@ def verify_objects(context: StepContext) -> None:
         kept = node.slab or known or edited
         if crop is not None and program_file.is_file() and not kept:
             text = program_file.read_text(encoding="utf-8")
-            source = ProgramSource(node, crop, text, context.config.program, tree.camera)
+            source = ProgramSource(_subject(node, crop, tree), text, context.config.program)
         result = await verify_object(
             spec,
             options,
@@ -267,8 +266,8 @@ def verify_objects(context: StepContext) -> None:
 def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:
     """Return the contents of verify.json and of the changed files of an object by file name."""
     files = {"verify.json": result.to_json()}
-    if result.program is not None and result.program_json is not None:
-        files |= {PROGRAM: result.program, ROUNDS: result.program_json}
+    if result.program is not None:
+        files |= {PROGRAM: result.program.text, ROUNDS: result.program.to_json()}
     if result.changed:
         files[SPEC] = result.applied(spec).to_json()
     return files
@@ -281,7 +280,7 @@ def _record_verification(run: RunFolder, name: str, result: VerificationResult) 
         reason = "; ".join(result.seen) or "the critic asked for it"
         run.note(step, f"{name} has a new program", reason)
     if not result.patch.empty:
-        run.note(step, f"{name} was edited", "; ".join(result.changes))
+        run.note(step, f"{name} was edited", "; ".join(result.patch.changes()))
     if result.waived:
         phrases = "; ".join(check.phrase() for check in result.waived)
         run.note(step, f"{name} is valid according to the critic", phrases)

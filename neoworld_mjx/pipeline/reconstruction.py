@@ -18,10 +18,9 @@ from ..names import Step
 from ..parse.photo import Photo
 from ..run_folder import STEPS, Mode, Result, RunFolder, read_run, run_options, step_times
 from ..spec import read_scene
-from .compose_step import compose_scene
 from .given_evidence import Given, keep_evidence, kept_inputs, known_photo
 from .object_steps import parse_photo, program_objects, verify_objects
-from .scene_steps import export_files, refine_layout, write_metrics
+from .scene_steps import compose_scene, export_files, refine_layout, write_metrics
 from .step_context import COMPOSED, TAPE, TREE, StepContext, read_tree
 
 STEP_FUNCTIONS: dict[str, Callable[[StepContext], None]] = {

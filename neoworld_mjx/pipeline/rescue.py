@@ -25,8 +25,7 @@ from ..spec import Camera
 from ..spec.pose import from_yaw, pose, rotate
 from ..spec.scene import scene_in_frame, transformed_scene
 from .given_evidence import RunEvidence, keep_evidence
-from .input_doubts import doubt_solids, doubt_unit, scaled_scene
-from .mesh_tree import MeshTree, mesh_tree
+from .mesh_tree import MeshTree, doubt_solids, doubt_unit, mesh_tree, scaled_scene
 from .reconstruction import finish, run_steps
 from .step_context import GIVEN, PHOTO, SPEC, TREE, object_file, write_files
 
@@ -64,7 +63,7 @@ def rescue_file(
     Raises:
         EvidenceError: a file cannot be read, or contradicts the photograph.
         SpecError: a file cannot be read, no object is free to move, or the file is in doubt
-            (`input_doubts`).
+            (`mesh_tree`).
         PhotoError: as for `photo_evidence`.
         RunError: the folder is not empty, or cannot be written.
     """

@@ -9,19 +9,16 @@ articulation and export follow one another, each with separate debug and critic 
 """
 
 import asyncio
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from PIL import Image
 from pydantic import BaseModel
 
 from ..checks.signals import Signal, deduplicated, has_errors
 from ..config import ProgramOptions
 from ..mllm import Model, Picture, Request, ask_or_record, package_text
-from ..spec import Camera, TreeNode
 from .ask import (
     ProgramAttempt,
     ProgramResponse,
@@ -58,46 +55,20 @@ MAX_RESIZE = 4.0
 """Largest factor by which an edge of the given box may be corrected, up or down."""
 
 
-@runtime_checkable
-class Cutout(Protocol):
-    """A picture of an object cut out of the photo."""
-
-    @property
-    def picture(self) -> Picture:
-        """The picture, labeled "crop"."""
-        ...
-
-    @property
-    def note(self) -> str:
-        """Description of the parts that the picture does not show; empty if it shows all parts."""
-        ...
-
-    @property
-    def window(self) -> tuple[float, float, float, float]:
-        """Area of the photo that the picture shows (x0, y0, x1, y1) [px]."""
-        ...
-
-
 class ProgramSource(NamedTuple):
     """An object's program, and the inputs from which it was written."""
 
-    node: TreeNode
-    """The parsed object, with the size that the program fills."""
-    crop: Cutout | bytes
-    """The object's picture, cut out of the photo."""
+    subject: Subject
+    """The parsed object, with the size that the program fills, and its picture."""
     text: str
     options: ProgramOptions
-    camera: Camera | None = None
-    """The photo's camera."""
 
 
 async def synthesise(
-    node: TreeNode,
-    crop: Cutout | bytes,
+    subject: Subject,
     models: Model,
     options: ProgramOptions,
     *,
-    camera: Camera | None = None,
     colour: tuple[float, float, float] | None = None,
 ) -> SynthesisResult:
     """Synthesize the program of an object from the object's crop.
@@ -105,22 +76,18 @@ async def synthesise(
     The program of a slab of the environment is written from the parsed box, without a model.
 
     Args:
-        node: the parsed object.
-        crop: the object's picture, cut out of the photo.
+        subject: the parsed object and its picture.
         models: models for the programmer and the critics.
         options: rounds, critics and sandbox.
-        camera: the photo's camera, for pictures from the same direction.
         colour: red, green and blue of a slab, from 0 to 1. If None, the color is that of the parsed
-            surface, or else the median color of the crop.
+            surface, or else that of its material.
 
     Raises:
         ModelError: the first request of a stage failed, the recorded responses (tape) lack a
             response, or the cost cap is reached.
     """
-    subject = _subject(node, crop, camera)
+    node = subject.node
     if node.slab:
-        if colour is None and node.surface is None:
-            colour = median_colour(subject.crop)
         program = support_program(node, colour)
         return written_without_model(
             "support", program, await asyncio.to_thread(run, program, options)
@@ -157,7 +124,7 @@ async def reprogram(
         BudgetError: the cost cap is reached.
     """
     text, options = source.text, source.options
-    work = _Synthesis(_subject(source.node, source.crop, source.camera), models, options)
+    work = _Synthesis(source.subject, models, options)
     previous = ProgramAttempt("program", text, await asyncio.to_thread(run, text, options))
     stage = StageInput(language=options.language)
     request = reprogram_request(work.subject, stage, text.strip(), findings)
@@ -171,12 +138,6 @@ async def reprogram(
     return work.result(replace(best, built=replace(best.built, spec=None)) if lost else best)
 
 
-def _subject(node: TreeNode, crop: Cutout | bytes, camera: Camera | None) -> Subject:
-    if isinstance(crop, bytes):
-        return Subject(node, Picture("crop", crop), camera=camera)
-    return Subject(node, crop.picture, crop.note, camera, crop.window)
-
-
 def guide() -> str:
     """Return the guide to the SDK, which is part of every request to a programmer."""
     return package_text(__package__, "guide")
@@ -185,14 +146,6 @@ def guide() -> str:
 def all_instructions(options: ProgramOptions) -> str:
     """Return the system prompts of all requests for programs, joined by newlines."""
     return "\n".join(instructions(s.file, options.language) for s in STAGES[options.stages])
-
-
-def median_colour(picture: Picture) -> tuple[float, float, float]:
-    """Return the median red, green and blue of a picture, each from 0 to 1."""
-    with Image.open(io.BytesIO(picture.data), formats=["PNG", "JPEG"]) as image:
-        rgb = np.asarray(image.convert("RGB")).reshape(-1, 3)
-    r, g, b = (np.median(rgb, axis=0) / 255).tolist()
-    return r, g, b
 
 
 def without_fence(program: str) -> str:

@@ -62,7 +62,7 @@ class DescribedPicture(Picture):
         """The PNG file, rendered once."""
         return self._draw()
 
-    @property
+    @cached_property
     def pixels(self) -> str:
         """The sha256 of the description."""
         return hashlib.sha256(self.shows.encode()).hexdigest()

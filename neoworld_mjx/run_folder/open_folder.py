@@ -3,7 +3,7 @@
 A step writes into a staging folder. When it finishes, its files are flushed and moved into place,
 and its record is added to run.json: a hash of every input and of every file it wrote. A process
 killed at any moment leaves either the record and all files, or no record, in which case the step
-runs again. Only run.json, run.log and report.html contain times; every other file is a function
+runs again. Only run.json and report.html contain times; every other file is a function
 of the photograph, the options and the models' responses.
 """
 
@@ -47,47 +47,8 @@ _log = logging.getLogger(__name__)
 
 Mode = Literal["new", "resume", "redo", "overwrite"]
 """Treatment of an earlier run in the folder, see `RunFolder`."""
-RUN_LOG = "run.log"
-PACKAGE = "neoworld_mjx"
 WAITED_S = 0.5
 """Least time of waiting for models that a progress message mentions [s]."""
-
-
-class RunLog(logging.FileHandler):
-    """Log handler that appends the package's log to run.log until it is closed.
-
-    The level of the package's logger applies. On the command line, the log contains progress and
-    warnings. In a program that sets no level, it contains only warnings. A log that cannot be
-    written does not stop the run.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        """Open the log of a run folder.
-
-        Raises:
-            OSError: the log cannot be opened.
-        """
-        super().__init__(folder / RUN_LOG, encoding="utf-8", errors="replace")
-        self.setLevel(logging.INFO)
-        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        logging.getLogger(PACKAGE).addHandler(self)
-
-    def note(self, level: int, text: str) -> None:
-        """Append a line to run.log only, not to other handlers of the log."""
-        self.handle(logging.LogRecord(PACKAGE, level, "", 0, text, None, None))
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return a record as one line."""
-        return printable(super().format(record).replace("\n", " | "))
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Continue without a record that cannot be written."""
-
-    def close(self) -> None:
-        """Close the log."""
-        logging.getLogger(PACKAGE).removeHandler(self)
-        with contextlib.suppress(OSError):
-            super().close()
 
 
 class RunFolder:
@@ -143,7 +104,6 @@ class RunFolder:
         try:
             with disk_errors(self.path):
                 self._open(config, mode)
-                self._run_log = RunLog(self.path)
         except BaseException:
             self._lock.close()
             raise
@@ -158,7 +118,6 @@ class RunFolder:
         try:
             if error is None:
                 self.save()
-                self._run_log.note(logging.INFO, f"run: {self.data['status']}")
                 return
             # A run in a thread gets a RuntimeError if Ctrl-C ends the interpreter.
             ended = isinstance(error, RuntimeError) and "shutdown" in str(error)
@@ -167,11 +126,9 @@ class RunFolder:
             expected = isinstance(error, NeoWorldError)
             cause = "KeyboardInterrupt" if interrupted else type(error).__name__
             self.data["error"] = str(error) if expected else cause
-            self._run_log.note(logging.ERROR, f"run: {self.data['status']}: {self.data['error']}")
             with contextlib.suppress(RunError):  # Report the first error.
                 self.save()
         finally:
-            self._run_log.close()
             self._lock.close()
 
     def finished(self, name: str, inputs: Mapping[str, object]) -> bool:
@@ -319,8 +276,7 @@ class RunFolder:
                 if step_of(name) not in self._kept:
                     self._discard(name)
         if mode in ("new", "overwrite"):
-            for name in ("report.html", RUN_LOG):
-                (self.path / name).unlink(missing_ok=True)
+            (self.path / "report.html").unlink(missing_ok=True)
             self.data = {"steps": {}, "fallbacks": []}
         clear_unfinished(self.path)
         self._restore(replaced_files(self.data["steps"]))

@@ -217,9 +217,7 @@ def initial_record(config: Config, earlier: dict[str, Any]) -> dict[str, Any]:
         "versions": versions(),
         "device": {"machine": platform.machine(), "cores": os.cpu_count()},
         "metrics": {},
-        **{
-            key: earlier.get(key, {}) for key in ("mllm", "supports", "fallbacks", "steps", "times")
-        },
+        **{key: earlier.get(key, {}) for key in ("mllm", "fallbacks", "steps", "times")},
         **({"evidence": earlier["evidence"]} if "evidence" in earlier else {}),
         "notes": earlier.get("notes", []),
     }

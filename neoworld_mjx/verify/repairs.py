@@ -1,20 +1,20 @@
 """Direct repairs: patches that are derived from measurements and accepted only if they help.
 
-Each round addresses the likeliest cause. It runs the object tests with each of a few patches, and
-accepts the best patch that lowers the fault score and adds no fault. Direct repairs send no
-requests to models. `Repair.try_patches` also applies this rule to patches that a model proposes.
-`Repair.try_program` accepts a new program if it lowers the fault score.
+Each round addresses the likeliest cause with one patch, and accepts it if it lowers the fault score
+and adds no fault. Direct repairs send no requests to models. `Repair.try_patch` also applies this
+rule to patches that a model proposes. `Repair.try_program` accepts a new program if it lowers the
+fault score.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks.joint_checks import on_edge, pivot_edges
+from ..checks.joint_checks import pivot_edges
 from ..checks.object_tests import ObjectTests
 from ..checks.signals import Allowance
 from ..checks.static_checks import Probe
@@ -48,7 +48,7 @@ class RunTests(Protocol):
 class Repair:
     """State of the repair of an object: the accepted patch, and the results with this patch.
 
-    `try_patches`, `try_program` and `waive` update the state.
+    `try_patch`, `try_program` and `waive` update the state.
     """
 
     original: ObjectSpec
@@ -74,33 +74,22 @@ class Repair:
         """Verdict on the object with the accepted patch."""
         return self.tests.verdict
 
-    def try_patches(self, patches: Iterable[Patch]) -> bool:
-        """Try each patch on top of the accepted patch, and accept the best patch that helps.
-
-        Returns:
-            True if a patch was accepted.
-        """
-        best: tuple[float, Patch, ObjectTests] | None = None
-        previous_score, known_faults = self.after.score, set(self.after.faults)
-        for patch in patches:
-            merged = self.patch.merged_with(patch)
-            description = "; ".join(patch.changes())
-            try:
-                changed, _ = apply(merged, self.original)
-            except SpecError as error:
-                self.tried.append(f"{description}: {error}")
-                continue
-            tests = self.run(changed)
-            score = tests.verdict.score
-            self.tried.append(f"{description}: fault score {previous_score:.2f} to {score:.2f}")
-            helps = score < previous_score - GAIN and known_faults.issuperset(tests.verdict.faults)
-            if helps and (best is None or score < best[0]):
-                best = (score, merged, tests)
-            if tests.verdict.passed:
-                break
-        if best is not None:
-            _, self.patch, self.tests = best
-        return best is not None
+    def try_patch(self, patch: Patch) -> bool:
+        """Try a patch on top of the accepted patch; return True if it helps and is accepted."""
+        previous_score, merged = self.after.score, self.patch.merged_with(patch)
+        description = "; ".join(patch.changes())
+        try:
+            changed, _ = apply(merged, self.original)
+        except SpecError as error:
+            self.tried.append(f"{description}: {error}")
+            return False
+        tests = self.run(changed)
+        score, faults = tests.verdict.score, set(tests.verdict.faults)
+        self.tried.append(f"{description}: fault score {previous_score:.2f} to {score:.2f}")
+        helps = score < previous_score - GAIN and faults.issubset(self.after.faults)
+        if helps:
+            self.patch, self.tests = merged, tests
+        return helps
 
     def try_program(self, result: SynthesisResult, *, rounds: int = 6) -> bool:
         """Replace the object by that of a new program if the fault score decreases.
@@ -151,7 +140,8 @@ def repair(
         check = _likeliest_cause(repaired.after, given_up)
         if check is None:
             break
-        if not repaired.try_patches(proposals(repaired.tests, check)):
+        patch = proposal(repaired.tests, check)
+        if patch is None or not repaired.try_patch(patch):
             given_up.add((check.fault, check.name))
     return repaired
 
@@ -171,71 +161,61 @@ def _likeliest_cause(
     return None
 
 
-def proposals(tests: ObjectTests, check: Check) -> Iterator[Patch]:
-    """Yield patches that could repair a failed check, the most promising first."""
+def proposal(tests: ObjectTests, check: Check) -> Patch | None:
+    """Return the patch that could repair a failed check; None if no measurement gives one."""
     if check.fault in _PART_REPAIRS and check.part is not None:
-        yield from _PART_REPAIRS[check.fault](tests, tests.spec.part(check.part))
-    elif check.fault in _JOINT_REPAIRS and check.joint is not None:
-        yield from _JOINT_REPAIRS[check.fault](tests, tests.spec.joint(check.joint))
+        return _PART_REPAIRS[check.fault](tests, tests.spec.part(check.part))
+    if check.fault in _JOINT_REPAIRS and check.joint is not None:
+        return _JOINT_REPAIRS[check.fault](tests, tests.spec.joint(check.joint))
+    return None
 
 
-def _derive_inertia(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
-    yield Patch(parts={part.name: PartEdit(inertia="derived")})
-    yield from _derive_mass(tests, part)
+def _derive_inertia(_: ObjectTests, part: PartSpec) -> Patch:
+    return Patch(parts={part.name: PartEdit(inertia="derived")})
 
 
-def _derive_mass(_: ObjectTests, part: PartSpec) -> Iterator[Patch]:
-    yield Patch(parts={part.name: PartEdit(mass="derived")})
+def _derive_mass(_: ObjectTests, part: PartSpec) -> Patch:
+    return Patch(parts={part.name: PartEdit(mass="derived")})
 
 
-def _collide_as_seen(_: ObjectTests, part: PartSpec) -> Iterator[Patch]:
+def _collide_as_seen(_: ObjectTests, part: PartSpec) -> Patch:
     visible = [geom.name for geom in part.geoms if geom.role != "collision"]
-    yield Patch(geoms={name: GeomEdit(as_seen=True) for name in visible})
+    return Patch(geoms={name: GeomEdit(as_seen=True) for name in visible})
 
 
-def _cut_limits(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
+def _cut_limits(tests: ObjectTests, joint: JointSpec) -> Patch | None:
     """Reduce the joint's range to the collision-free range."""
-    if joint.name not in tests.joint_checks.free:
-        return
-    low, high = tests.joint_checks.free[joint.name]
+    low, high = tests.joint_checks.free.get(joint.name, (0.0, 0.0))
     # Rounding must not widen the range. A ball joint without a limit has an upper limit of 0.
     upper = high if joint.type == "ball" else min(high, joint.upper)
-    if low < high:
-        yield _edited(joint, JointEdit(lower=max(low, joint.lower), upper=upper))
+    return _edited(joint, lower=max(low, joint.lower), upper=upper) if low < high else None
 
 
-def _widen_limits(_: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Widen the range to the declared travel, at the upper or at the lower end."""
+def _widen_limits(_: ObjectTests, joint: JointSpec) -> Patch | None:
+    """Widen the range at the upper end to the declared travel."""
     if joint.intent is None or joint.intent.travel is None:
-        return
-    travel = joint.intent.travel
-    yield _edited(joint, JointEdit(upper=joint.lower + travel))
-    yield _edited(joint, JointEdit(lower=joint.upper - travel))
+        return None
+    return _edited(joint, upper=joint.lower + joint.intent.travel)
 
 
-def _add_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Raise dry friction to its default, and damping to one or four times its default.
-
-    For a joint with a spring, the default damping is increased.
-    """
+def _add_losses(tests: ObjectTests, joint: JointSpec) -> Patch:
+    """Raise dry friction and damping to their defaults; more damping for a joint with a spring."""
     damping, friction = _losses(tests, joint)
     if joint.stiffness > 0:
         damping = max(damping, 2 * float(np.sqrt(joint.stiffness * damping * SETTLING_S)))
-    friction = max(joint.friction, friction)
-    for factor in (1.0, 4.0):
-        raised = max(joint.damping, factor * damping)
-        yield _edited(joint, JointEdit(damping=raised, friction=friction))
+    raised = max(joint.damping, damping), max(joint.friction, friction)
+    return _edited(joint, damping=raised[0], friction=raised[1])
 
 
-def _cut_losses(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
+def _cut_losses(tests: ObjectTests, joint: JointSpec) -> Patch:
     """Lower damping and dry friction to their defaults."""
     damping, friction = _losses(tests, joint)
-    damping, friction = min(joint.damping, damping), min(joint.friction, friction)
-    yield _edited(joint, JointEdit(damping=damping, friction=friction))
+    lowered = min(joint.damping, damping), min(joint.friction, friction)
+    return _edited(joint, damping=lowered[0], friction=lowered[1])
 
 
-def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Move the pivot to an edge of the child, the nearest edge first, or to the child's center."""
+def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Patch:
+    """Move the pivot to the nearest edge of the child, or to the child's center."""
     low, high = part_bounds(tests.spec, tests.spec.part(joint.child))
     middle = (low + high) / 2
     pivot, axis = np.array(joint.pos), np.array(joint.axis)
@@ -248,83 +228,51 @@ def _move_pivot(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
     def distance(edge: NDArray) -> float:
         return radial_distance(edge - pivot) + 0.5 * radial_distance(edge - near_parent)
 
-    positions = sorted(pivot_edges(joint, low, high), key=distance)
-    if joint.type == "continuous" or not positions:
-        positions = [middle]
-    elif not on_edge(joint, low, high):
-        positions.append(middle)
-    for position in positions[:4]:
-        axial_offset = ((pivot - position) @ axis) * axis
-        yield _edited(joint, JointEdit(origin=triple(position + axial_offset)))
+    edges = [] if joint.type == "continuous" else pivot_edges(joint, low, high)
+    position = min(edges, key=distance, default=middle)
+    axial_offset = ((pivot - position) @ axis) * axis
+    return _edited(joint, origin=triple(position + axial_offset))
 
 
-def _close_gap(tests: ObjectTests, joint: JointSpec) -> Iterator[Patch]:
-    """Move a detached part to its parent, along one axis or along the shortest path."""
-    spec, child = tests.spec, joint.child
-    shortest = _shift_to_gap(spec, child, joint.parent, lambda gap: abs(gap - GAP_M) < 1e-4)
-    low, high = part_bounds(spec, spec.part(child))
-    lowest, highest = part_bounds(spec, spec.part(joint.parent))
+def _close_gap(tests: ObjectTests, joint: JointSpec) -> Patch:
+    """Move a detached part to its parent, along the axis on which they are farthest apart."""
+    low, high = part_bounds(tests.spec, tests.spec.part(joint.child))
+    lowest, highest = part_bounds(tests.spec, tests.spec.part(joint.parent))
     gaps = np.maximum(low - highest, lowest - high)
-    axis = int(np.argmax(gaps))
-    straight = np.zeros(3)
-    straight[axis] = -(gaps[axis] - GAP_M) * (1.0 if low[axis] > highest[axis] else -1.0)
-    for shift in (straight, shortest):
-        if np.any(shift):
-            yield _shifted(child, shift)
+    axis, shift = int(np.argmax(gaps)), np.zeros(3)
+    shift[axis] = -(gaps[axis] - GAP_M) * (1.0 if low[axis] > highest[axis] else -1.0)
+    return _shifted(joint.child, shift)
 
 
-def _separate(tests: ObjectTests, part: PartSpec) -> Iterator[Patch]:
-    """Move a part out of the part that it overlaps, or shrink its colliders."""
+def _separate(tests: ObjectTests, part: PartSpec) -> Patch | None:
+    """Move a part out of the part that it overlaps, by the shortest shift.
+
+    A shift along the line of the smallest distance changes this line, so the shift is found in up
+    to 8 steps.
+    """
     spec = tests.spec
     pair = next((p for p in tests.joint_checks.overlapping if part.name in p[:2]), None)
     if pair is None:
-        return
-    other, child, depth = pair
+        return None
+    other, child, _ = pair
     if all(joint.child != child for joint in spec.joints):
         child, other = other, child
-    shifts = [_shift_to_gap(spec, child, other, lambda gap: gap >= 0.5 * GAP_M)]
-    size = max(depth, 1e-3) + GAP_M
-    shifts += [sign * size * axis + 0.0 for axis in np.eye(3) for sign in (1.0, -1.0)]
-    # Distances are cheap to measure, but the object tests are not, so only shifts that separate
-    # the parts are tried.
-    free = [shift for shift in shifts if _gap(spec, child, other, shift)[0] > -1e-3]
-    free.sort(key=lambda shift: float(np.linalg.norm(shift)))
-    for shift in free[:4]:
-        yield _shifted(child, shift)
-    colliders = [geom.name for geom in spec.part(child).geoms if geom.role != "visual"]
-    for factor in (0.97, 0.9):
-        yield Patch(geoms={name: GeomEdit(shrink=factor) for name in colliders})
-
-
-def _shift_to_gap(
-    spec: ObjectSpec, part: str, other: str, stop: Callable[[float], bool]
-) -> NDArray:
-    """Return the shortest shift that leaves a gap of `GAP_M` between two parts [m], shape [3].
-
-    A shift along the line of the smallest distance changes this line, so the shift is found in up
-    to 8 steps, until `stop` accepts the gap [m].
-    """
     shift = np.zeros(3)
     for _ in range(8):
-        gap, direction = _gap(spec, part, other, shift)
-        if stop(gap):
+        probe = Probe(apply(_shifted(child, shift), spec)[0])
+        gap, direction = probe.separation(probe.names.index(other), probe.names.index(child))
+        if gap >= 0.5 * GAP_M:
             break
         shift = shift + direction * (GAP_M - gap)
-    return shift
-
-
-def _gap(spec: ObjectSpec, part: str, other: str, shift: NDArray) -> tuple[float, NDArray]:
-    """Return the signed distance of a shifted part from another part [m], and its direction."""
-    probe = Probe(apply(_shifted(part, shift), spec)[0])
-    return probe.separation(probe.names.index(other), probe.names.index(part))
+    return _shifted(child, shift)
 
 
 def _shifted(part: str, shift: NDArray) -> Patch:
     return Patch(parts={part: PartEdit(shift=triple(shift))})
 
 
-def _edited(joint: JointSpec, edit: JointEdit) -> Patch:
-    return Patch(joints={joint.name: edit})
+def _edited(joint: JointSpec, **fields: Any) -> Patch:
+    return Patch(joints={joint.name: JointEdit(**fields)})
 
 
 def _losses(tests: ObjectTests, joint: JointSpec) -> tuple[float, float]:
@@ -333,14 +281,14 @@ def _losses(tests: ObjectTests, joint: JointSpec) -> tuple[float, float]:
     return default_losses(joint, inertial(tests.spec, child))
 
 
-_PART_REPAIRS: dict[Fault | None, Callable[[ObjectTests, PartSpec], Iterator[Patch]]] = {
+_PART_REPAIRS: dict[Fault | None, Callable[[ObjectTests, PartSpec], Patch | None]] = {
     Fault.INERTIA_IMPOSSIBLE: _derive_inertia,
     Fault.MASS_IMPLAUSIBLE: _derive_mass,
     Fault.COLLIDER_MISSING: _collide_as_seen,
     Fault.COLLIDER_LARGE: _collide_as_seen,
     Fault.PARTS_OVERLAP: _separate,
 }
-_JOINT_REPAIRS: dict[Fault | None, Callable[[ObjectTests, JointSpec], Iterator[Patch]]] = {
+_JOINT_REPAIRS: dict[Fault | None, Callable[[ObjectTests, JointSpec], Patch | None]] = {
     Fault.LIMIT_INTO_PART: _cut_limits,
     Fault.LIMITS_NARROW: _widen_limits,
     Fault.JOINT_UNDAMPED: _add_losses,

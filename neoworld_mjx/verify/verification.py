@@ -1,24 +1,20 @@
-"""Step 3 for one object: object tests, repairs, and the cache of results."""
+"""Step 3 for one object: object tests, repairs, and requests to models."""
 
 import asyncio
 import json
-import logging
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
-from ..cache import cache_folder
-from ..checks.object_tests import VERSION, run_object_tests
+from ..checks.object_tests import run_object_tests
 from ..checks.signals import Allowance
 from ..checks.verdict import WAIVER_HINT, Check, Verdict
 from ..config import VerifyOptions
-from ..errors import MissingResponseError, RunError
-from ..io import read_model
-from ..io.files import content_hash, write_atomic
+from ..errors import MissingResponseError
 from ..mllm import Model, Request, ask_or_record
 from ..mllm.panel import run_coroutine
 from ..program.ask import SynthesisResult
@@ -29,43 +25,36 @@ from .critic import MotionCritique, edit_request, findings, key_frames_request, 
 from .patch import Patch, apply
 from .repairs import Repair, repair
 
-_log = logging.getLogger(__name__)
 _simulating = threading.Lock()
 R = TypeVar("R")
 T = TypeVar("T", bound=BaseModel)
 
 
-class VerificationResult(BaseModel):
+@dataclass(frozen=True)
+class VerificationResult:
     """Result of Step 3 for one object."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Verdict
     """Verdict on the resulting object."""
-    before: Verdict | None = None
+    before: Verdict | None
     """Verdict on the object before repairs; None if the object was not changed."""
-    patch: Patch = Patch()
-    changes: tuple[str, ...] = ()
-    """Description of each change of the patch."""
-    tried: tuple[str, ...] = ()
+    patch: Patch
+    program: SynthesisResult | None
+    """A new program that replaces the first program, and the object that it builds without
+    `patch`."""
+    tried: tuple[str, ...]
     """Description of every patch that was tried, with the fault score before and after."""
-    seen: tuple[str, ...] = ()
+    seen: tuple[str, ...]
     """The critic's findings in the key frames."""
-    lost_critics: tuple[tuple[str, str], ...] = ()
+    lost_critics: tuple[tuple[str, str], ...]
     """Pairs of a request that a model failed to answer, and the reason."""
-    unmet: tuple[str, ...] = ()
+    unmet: tuple[str, ...]
     """Findings for which the critic asked for a new program that could not be requested."""
-    program: str | None = None
-    """Text of a new program that replaces the first program; None without a new program."""
-    program_json: str | None = None
-    """All rounds of the new program; see `SynthesisResult.to_json`."""
-    reprogrammed: ObjectSpec | None = None
-    """The object that the new program builds, without `patch`."""
 
     @property
     def changed(self) -> bool:
         """True if the object has a new program or a patch."""
-        return self.reprogrammed is not None or not self.patch.empty
+        return self.program is not None or not self.patch.empty
 
     @property
     def waived(self) -> tuple[Check, ...]:
@@ -74,13 +63,14 @@ class VerificationResult(BaseModel):
 
     def applied(self, spec: ObjectSpec) -> ObjectSpec:
         """Return the object with the patch; a new program's object replaces `spec` first."""
-        spec = self.reprogrammed or spec
+        if self.program is not None and self.program.spec is not None:
+            spec = self.program.spec
         return spec if self.patch.empty else apply(self.patch, spec)[0]
 
     def to_json(self) -> str:
         """Return the verdict as JSON, with changes, tried patches and the critic's findings."""
         data = self.verdict.model_dump(mode="json")
-        data |= {"changes": self.changes, "tried": self.tried, "seen": self.seen}
+        data |= {"changes": self.patch.changes(), "tried": self.tried, "seen": self.seen}
         return json.dumps(data, indent=1) + "\n"
 
 
@@ -98,9 +88,8 @@ async def verify_object(
     """Test an object, and repair it in at most `options.rounds` rounds (paper Section 3.2).
 
     Direct repairs come first. Then models are shown an object with failed or borderline checks, or,
-    with `options.critic: always`, every object. Results are cached if no request was sent to a
-    model. Otherwise, recorded responses (tapes) serve as the cache. Several objects can be verified
-    concurrently; they are simulated one after another while others wait for models.
+    with `options.critic: always`, every object. Several objects can be verified concurrently; they
+    are simulated one after another while others wait for models.
 
     Args:
         spec: the object.
@@ -120,20 +109,6 @@ async def verify_object(
         MissingResponseError: `options.critic` is "always", and the recorded responses lack a
             response.
     """
-    key = {
-        "version": VERSION,
-        "spec": spec.model_dump(mode="json"),
-        "options": options.model_dump(mode="json"),
-        "fixed": fixed_base,
-        "tilt": list(tilt),
-        "allowed": [list(allowance) for allowance in allowed],
-    }
-    path = cache_folder() / "verify" / f"{content_hash(key)}.json"
-    always = models is not None and options.critic == "always"
-    cached = None if always else _read(path)
-    if cached is not None and (models is None or not cached.verdict.questionable):
-        return cached
-
     run = partial(
         run_object_tests, options=options, fixed_base=fixed_base, tilt=tilt, allowed=allowed
     )
@@ -141,28 +116,23 @@ async def verify_object(
     repaired = await _simulated(lambda: repair(spec, run, rounds=direct))
     critiques: list[MotionCritique] = []
     # A fixed object without joints has no scenarios, so there is nothing to show.
-    shown = repaired.after.questionable or (always and bool(standard_runs(repaired.tests)))
+    always = options.critic == "always" and bool(standard_runs(repaired.tests))
+    shown = repaired.after.questionable or always
     if models is not None and shown:
         critiques = await revise_with_models(
             repaired, models, options, surroundings=surroundings, source=source
         )
-    program = repaired.program
-    result = VerificationResult(
+    unchanged = repaired.patch.empty and repaired.program is None
+    return VerificationResult(
         verdict=repaired.after,
-        before=None if repaired.patch.empty and program is None else repaired.before,
+        before=None if unchanged else repaired.before,
         patch=repaired.patch,
-        changes=repaired.patch.changes(),
+        program=repaired.program,
         tried=tuple(repaired.tried),
-        lost_critics=tuple(repaired.lost_critics),
         seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
+        lost_critics=tuple(repaired.lost_critics),
         unmet=tuple(repaired.unfulfilled),
-        program=None if program is None else program.text,
-        program_json=None if program is None else program.to_json(),
-        reprogrammed=None if program is None else program.spec,
     )
-    if models is None or not shown:
-        _write(path, result)
-    return result
 
 
 def verify_and_repair(
@@ -223,7 +193,7 @@ async def revise_with_models(
             proposed = await _ask(models, request, repaired, always=always)
             if proposed is None or proposed.patch.empty:
                 break
-            await _simulated(partial(repaired.try_patches, [proposed.patch]))
+            await _simulated(partial(repaired.try_patch, proposed.patch))
         tried += repaired.tried[tried_before:]
         if repaired.after.passed:
             break
@@ -279,18 +249,3 @@ async def _simulated(work: Callable[[], R]) -> R:
             return work()
 
     return await asyncio.to_thread(locked)
-
-
-def _read(path: Path) -> VerificationResult | None:
-    try:
-        return read_model(path, VerificationResult, RunError, "a cached result")
-    except RunError:
-        return None
-
-
-def _write(path: Path, result: VerificationResult) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, result.model_dump_json())
-    except OSError as error:
-        _log.debug("result not cached: %s", error)

@@ -5,7 +5,6 @@ import logging
 import re
 import socket
 from contextlib import redirect_stdout
-from contextvars import ContextVar
 from functools import partial
 from html import escape
 from typing import Any
@@ -46,8 +45,8 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
     """Start a viser server.
 
     On a loopback address, the server rejects requests that name another host, and WebSocket
-    connections from web pages of other origins in the same browser. The server closes a connection
-    that sends an invalid or large message. It never opens the tunnel to viser's public server.
+    connections from web pages of other origins in the same browser. A message of over 1 MiB closes
+    its connection. The server never opens the tunnel to viser's public server.
 
     Args:
         label: title of the page.
@@ -85,8 +84,6 @@ def open_server(label: str, *, host: str = LOCAL, port: int | None = None) -> An
             server = LocalServer(host=host, port=chosen_port, label=printable(label), verbose=False)
     finally:
         websockets.asyncio.server.serve = serve
-    messages = server._websock_server
-    messages._handle_incoming_message = _closing_on_errors(messages._handle_incoming_message)
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     # The controls must not cover the photograph.
     server.gui.main_panel.dock_right()
@@ -103,32 +100,11 @@ def _serve_checked(serve: Any, local: bool, handler: Any, *address: Any, **optio
             return connection.respond(403, "this server accepts only requests to localhost\n")
         return page(connection, request)
 
-    async def handle(connection: Any) -> None:
-        _connection.set(connection)
-        await _closing_on_errors(handler)(connection)
-
     options |= {"process_request": process_request, "max_size": _MAX_MESSAGE_BYTES}
     if local:
         # None admits clients that are not browsers, which send no origin.
         options["origins"] = [None, _PAGES_OF_THIS_MACHINE]
-    return serve(handle, *address, **options)
-
-
-_connection: ContextVar[Any] = ContextVar("connection")
-"""Connection of the message that is being handled; viser handles messages in tasks of their own."""
-
-
-def _closing_on_errors(handler: Any) -> Any:
-    """Return a coroutine function that closes the connection if `handler` raises an error."""
-
-    async def handle(*arguments: Any) -> None:
-        try:
-            await handler(*arguments)
-        except Exception as error:  # A message may decode to anything, also to values of any type.
-            _log.debug("a client sent an invalid message: %s", type(error).__name__)
-            await _connection.get().close(1007, "invalid message")
-
-    return handle
+    return serve(handler, *address, **options)
 
 
 def close_server(server: Any) -> None:

@@ -9,10 +9,10 @@ from PIL import Image
 
 from ..config import Config
 from ..errors import PhotoError, SpecError
-from ..export.importing import FILES, USD, ImportedScene, import_file
 from ..parse.photo import load_photo
 from ..run_folder import refuse_links
 from ..spec import ObjectSpec, SceneObject, SceneSpec, read_scene
+from ..verify.read_target import read_target
 
 SHOWN_PX = 1024
 """Longest side of the photograph on the page, in pixels."""
@@ -45,33 +45,13 @@ def open_target(path: Path, config: Config) -> ViewTarget:
         refuse_links(path)
         if (path / "run.json").is_file():
             return _run_target(path)
-        for name in ("scene.json", "program.py", "spec.json"):
-            if (path / name).is_file():
-                return open_target(path / name, config)
-        raise SpecError(
-            f"{path} is not a run folder and contains no scene.json, program.py or spec.json: name "
-            "a run folder, a scene.json, a program (.py), or a URDF, MJCF or glTF file"
-        )
-    if path.suffix.lower() in (*FILES, *USD):
-        imported = import_file(path)
-        if isinstance(imported, ImportedScene):
-            return ViewTarget(path.name, imported.spec)
-        return ViewTarget(path.name, fixed_object_scene(imported.spec))
-    is_spec = path.name == "spec.json"
-    if is_spec or path.suffix == ".py":
-        from ..verify.checking import object_of_file
-
-        spec = object_of_file(path, config.program)
-        return ViewTarget(spec.name if is_spec else path.name, fixed_object_scene(spec))
-    if path.exists() and path.suffix != ".json":
-        raise SpecError(
-            f"{path}: expected a run folder, a scene.json, an object's folder, a program (.py), a "
-            "URDF, MJCF or glTF file"
-        )
-    scene = read_scene(path)
-    folders = (path.parent, path.parent.parent) if path.parent.name == "compose" else (path.parent,)
+    spec = read_target(path, config.program).spec
+    if isinstance(spec, ObjectSpec):
+        return ViewTarget(spec.name, fixed_object_scene(spec))
+    folder = path if path.is_dir() else path.parent
+    folders = (folder, folder.parent) if folder.name == "compose" else (folder,)
     picture = next((p for folder in folders if (p := _picture(folder)) is not None), None)
-    return ViewTarget(path.name, scene, picture=picture)
+    return ViewTarget(path.name, spec, picture=picture)
 
 
 def fixed_object_scene(spec: ObjectSpec) -> SceneSpec:

@@ -8,7 +8,7 @@ import pytest
 
 import neoworld_mjx as nw
 from neoworld_mjx.commands.object_commands import CheckCommand
-from neoworld_mjx.commands.sample_command import SampleCommand
+from neoworld_mjx.commands.policy_commands import SampleCommand
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.contact_draws import SceneContacts
 from neoworld_mjx.environments.samples import SceneSamples

@@ -12,7 +12,7 @@ from neoworld_bench.rescues.rescue_rows import (
 )
 
 from neoworld_mjx.spec import SceneSpec, scale
-from neoworld_mjx.view.outline_pictures import outline_errors
+from neoworld_mjx.view.evidence_pictures import outline_errors
 
 RADIUS = 0.06
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from neoworld_mjx.render import render
-from neoworld_mjx.view.outline_pictures import AFTER, BEFORE, outline_picture
-from neoworld_mjx.view.outline_pictures import PICTURE_MARGIN_PX as MARGIN_PX
+from neoworld_mjx.view.evidence_pictures import AFTER, BEFORE, outline_picture
+from neoworld_mjx.view.evidence_pictures import PICTURE_MARGIN_PX as MARGIN_PX
 from tests.estimate import desk
 
 

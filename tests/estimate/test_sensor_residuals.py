@@ -5,7 +5,12 @@ import pytest
 
 from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.masks import Masks
-from neoworld_mjx.view.depth_pictures import WIDTH_PX, depth_picture, depth_residuals, mask_overlaps
+from neoworld_mjx.view.evidence_pictures import (
+    WIDTH_PX,
+    depth_picture,
+    depth_residuals,
+    mask_overlaps,
+)
 from tests.estimate import desk
 
 AWAY_MM = 30.0

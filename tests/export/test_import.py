@@ -7,10 +7,9 @@ import pytest
 from neoworld_mjx.cli import main
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export import read_mjcf
-from neoworld_mjx.export.importing import import_file
+from neoworld_mjx.export.importing import import_file, import_object
 from neoworld_mjx.physics import decompose
 from neoworld_mjx.spec import Mesh
-from neoworld_mjx.verify.checking import import_object
 
 U = (
     "v 0 0 0\nv 3 0 0\nv 3 0 2\nv 2 0 2\nv 2 0 1\nv 1 0 1\nv 1 0 2\nv 0 0 2\n"

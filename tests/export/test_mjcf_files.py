@@ -79,29 +79,3 @@ def test_joints_and_handles_have_sensors(folder, cabinet):
     assert "cabinet-drawer_handle-touch" in touches
     assert "cabinet-links_handle-touch" in touches
     assert not [name for name in touches if re.search("(flap|cog)_handle", name)]  # They follow.
-
-
-def test_drives_hold_the_joint_state_and_can_be_disabled(folder, scene):
-    model = mujoco.MjModel.from_xml_path(str(folder / "drives.xml"))
-    data = mujoco.MjData(model)
-    model.opt.gravity[:] = 0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    # Nor do springs, ties and friction pull elsewhere, or hold.
-    model.jnt_stiffness[:] = model.dof_frictionloss[:] = model.dof_damping[:] = 0
-    model.eq_active0[:] = 0
-
-    def moved(group_off):
-        model.opt.disableactuator = int(group_off)
-        mujoco.mj_resetDataKeyframe(model, data, model.key("held").id)
-        slide, hinge = data.joint("box-slide"), data.joint("box-hinge")
-        start = float(slide.qpos[0]), float(hinge.qpos[0])
-        assert start == pytest.approx((0.1, 0.8))
-        slide.qvel[0], hinge.qvel[0] = -0.05, -0.1
-        while data.time < 1.0:
-            mujoco.mj_step(model, data)
-        return abs(slide.qpos[0] - start[0]), abs(hinge.qpos[0] - start[1])
-
-    assert max(moved(False)) < 1e-3
-    assert min(moved(0b10)) > 5e-3  # Group 1 is switched off.
-    names = {model.actuator(k).name for k in range(model.nu)}
-    assert "fastened-slide" in names and "box-follow" not in names

@@ -1,15 +1,12 @@
-"""Objects that move: their kind, the reason, and the order in which they are listed."""
-
-import math
+"""Penetration, drift and tilt of a scene, and the bounds that decide."""
 
 import numpy as np
 import pytest
 
-from neoworld_mjx.measure import SceneMeasure, scene_measure, unstable_objects
-from neoworld_mjx.measure.scene_check import FALLS_M
+from neoworld_mjx.measure import scene_measure
 from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.colliders import snap_exactly
-from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, Sphere
+from neoworld_mjx.spec import Box, HollowBox, SceneObject, Sphere
 from neoworld_mjx.spec.pose import quat_mul
 from tests.support import scenes
 
@@ -41,25 +38,6 @@ def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
     rolling = scene_measure(scene.model_copy(update={"objects": objects}))
     assert rolling.s_stab is False
     assert rolling.drift_m["ball"] > 0.1
-
-
-def test_moving_objects_are_named_with_the_reason_those_that_fall_first():
-    pole = scenes.single("pole", (Cylinder(radius=0.004, height=0.3), (0, 0, 0.15)))
-    scene = scenes.on_table(
-        (pole, (0, 0), 0.0, {"base_tilt": (np.cos(0.06), np.sin(0.06), 0, 0)}),
-        (box("beside"), (0.5, 0), 0.0, {}),
-        (box("deep"), (-0.2, 0.2), 0.0, {"z": 0.03}),
-        (box("rests"), (-0.2, -0.2), 0.0, {"z": 0.04}),
-        (box("rider"), (0, 0), 0.0, {"parent": "beside", "z": 0.1}),
-    )
-    entries = unstable_objects(scene, scene_measure(scene, duration=1.0))
-    reasons = {entry.name: (entry.kind, entry.why) for entry in entries}
-    assert reasons["beside"] == ("falls", "table is not below it, or does not hold it")
-    assert reasons["rider"] == ("falls", "beside, which supports it, moves")
-    assert reasons["pole"] == ("topples", "it does not rest on table")
-    assert "rests" not in reasons
-    assert [entry.kind for entry in entries[:2]] == ["falls", "falls"]
-    assert entries[0].phrase().startswith(f"{entries[0].name} falls ")
 
 
 @pytest.mark.parametrize(("aside", "above"), [(0.0, 0.0), (0.0003, 0.0), (0.0, -0.002)])
@@ -135,58 +113,3 @@ def test_each_bound_decides_and_a_motion_at_its_bound_is_over_it(fabricated):
     assert stable(max_drift=found.max_drift_m, max_tilt=10.1) is False
     assert stable(max_drift=0.031, max_tilt=found.max_tilt_deg) is False
     assert stable(max_drift=0.031, max_tilt=9.9) is False
-
-
-NAMES = ("a", "b", "c")
-
-
-def scene(**fields):
-    """Three blocks on a table; `fields` are those of `b`."""
-    block = {name: scenes.single(name, (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))) for name in NAMES}
-    rows = [(block[n], (0, 0.2 * k), 0.0, fields if n == "b" else {}) for k, n in enumerate(NAMES)]
-    return scenes.on_table(*rows)
-
-
-def measure(drift=(), tilt=(), drop=(), depths=()):
-    whole = lambda given: dict.fromkeys(NAMES, 0.0) | dict(given)
-    return SceneMeasure(
-        objects=4, movable=3, s_pen=0, max_depth_m=0.0, settled_depth_m=0.0, s_stab=False,
-        max_drift_m=0.0, max_tilt_deg=0.0, duration_s=2.0, depths_m=dict(depths),
-        drift_m=whole(drift), tilt_deg=whole(tilt), drop_m=whole(drop),
-    )  # fmt: skip
-
-
-def named(entries):
-    return {entry.name: (entry.kind, entry.why) for entry in entries}
-
-
-def test_a_descent_of_centimeters_is_a_fall():
-    found = named(
-        unstable_objects(scene(), measure({"a": 0.1, "b": 0.1}, {"b": 9.0}, {"a": FALLS_M}))
-    )
-    assert found["a"][0] == "slides" and found["b"][0] == "topples"
-    drop = {"a": FALLS_M + 1e-6, "b": 0.5}
-    found = unstable_objects(scene(), measure({"a": 0.1, "b": 0.1}, {"b": 9.0}, drop))
-    assert [(e.name, e.kind, e.drop_m) for e in found] == [
-        ("b", "falls", 0.5), ("a", "falls", FALLS_M + 1e-6)
-    ]  # fmt: skip
-
-
-def test_the_reason_is_the_first_that_applies():
-    moved = measure({"b": 0.1})
-    assert named(unstable_objects(scene(), moved))["b"][1] == "it does not rest on table"
-    fallen = measure({"b": 0.1}, drop={"b": 0.1})
-    why = named(unstable_objects(scene(), fallen))["b"][1]
-    assert why == "table is not below it, or does not hold it"
-    lost = measure({"b": math.inf}, drop={"b": math.inf})
-    assert named(unstable_objects(scene(), lost))["b"] == ("diverges", "it does not rest on table")
-    leaning = named(unstable_objects(scene(relation="leaning"), moved))["b"][1]
-    assert leaning == "it stands on table, and nothing that it leans against holds it"
-    (entry,) = unstable_objects(scene(relation="attached"), moved)
-    assert entry.why == "it is attached to table, but not fastened there" and not entry.held
-    on_a = scene(parent="a", z=0.1)
-    assert named(unstable_objects(on_a, measure({"a": 0.1, "b": 0.1})))["b"][1] == (
-        "a, which supports it, moves"
-    )
-    on_free = named(unstable_objects(scene(parent="a", relation="attached", z=0.1), moved))
-    assert on_free["b"][1] == "it is attached to a, which is free to move, but not fastened there"

@@ -61,7 +61,6 @@ def test_outputs_outside_of_the_folder_are_refused(tmp_path, outside, name, mode
 NOT_OUTPUTS = {
     ".lock": "refine does not write '.lock'",
     "run.json": "refine does not write 'run.json'",
-    "run.log": "refine does not write 'run.log'",
     "photo.png": "refine does not write 'photo.png'",
     "notes.txt": "refine does not write 'notes.txt'",
     "history/parse/tree.json": "refine does not write",

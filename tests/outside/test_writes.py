@@ -83,7 +83,7 @@ def test_a_command_that_the_system_limits_leaves_no_partial_file(program, tmp_pa
     code = f"""
 import resource
 from neoworld_mjx import cli
-import neoworld_mjx.commands.export_command, neoworld_mjx.export.formats
+import neoworld_mjx.commands.object_commands, neoworld_mjx.export.formats
 import neoworld_mjx.program.building
 resource.setrlimit(resource.RLIMIT_{limit}, ({number}, {number}))
 cli.main(["export", {str(program)!r}, "--out", {str(tmp_path / "out")!r}])

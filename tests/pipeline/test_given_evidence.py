@@ -89,7 +89,7 @@ def test_one_file_names_all_evidence(tmp_path):
 
 
 def test_flags_take_precedence_over_the_file(tmp_path, monkeypatch):
-    from neoworld_mjx.commands.evidence_flags import EvidenceFlags
+    from neoworld_mjx.commands.base_command import EvidenceFlags
 
     file = write_example(tmp_path)
     stated = EvidenceFlags(evidence=file, gravity=(0.0, 1.0, 0.0)).stated()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from neoworld_mjx.export.formats import write_formats
+from neoworld_mjx.export.importing import import_object
 from neoworld_mjx.export.object_of_mechanism import Imported
 from neoworld_mjx.names import Format
 from neoworld_mjx.spec import (
@@ -21,7 +22,6 @@ from neoworld_mjx.spec import (
 )
 from neoworld_mjx.spec.finish import finish
 from neoworld_mjx.spec.pose import matrix
-from neoworld_mjx.verify.checking import import_object
 
 READERS: dict[Format, tuple[str, Callable[[Path], Imported]]] = {
     "mjcf": ("object.xml", import_object),

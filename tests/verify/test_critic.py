@@ -1,14 +1,16 @@
 """The critic sees labelled strips; the reasoner's edits are accepted only if they help."""
 
+import numpy as np
 import pytest
 
 from neoworld_mjx.checks.object_tests import ObjectTests, run_object_tests
 from neoworld_mjx.checks.verdict import Fault, Limit, make_check
 from neoworld_mjx.config import ProgramOptions, VerifyOptions
 from neoworld_mjx.errors import MissingResponseError
-from neoworld_mjx.mllm import Panel
+from neoworld_mjx.mllm import Panel, Picture
 from neoworld_mjx.mllm.panel import run_coroutine
 from neoworld_mjx.program.ask import SynthesisResult
+from neoworld_mjx.program.critique import Subject
 from neoworld_mjx.program.synthesise import ProgramSource
 from neoworld_mjx.spec import Box, GeomSpec, Material, ObjectSpec, PartSpec
 from neoworld_mjx.verify import Patch, verification, verify_and_repair
@@ -151,7 +153,8 @@ def rewritten(monkeypatch):
     return give
 
 
-SOURCE = ProgramSource(answers.exact().nodes[0], b"", "# a program", ProgramOptions())
+SUBJECT = Subject(answers.exact().nodes[0], Picture("crop", np.zeros((8, 8, 3), np.uint8)))
+SOURCE = ProgramSource(SUBJECT, "# a program", ProgramOptions())
 
 
 def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
@@ -160,7 +163,7 @@ def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
     received = rewritten(objects.cupboard())
     result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), source=SOURCE)
     assert result.verdict.passed and not result.before.passed
-    assert result.program == "# another program"
+    assert result.program.text == "# another program"
     assert result.applied(flipped) == objects.cupboard()
     assert received[0][0] == "hinge: opens inwards -> turn it over"
     assert received[0][1].startswith("simulated by itself: ")

@@ -23,14 +23,14 @@ def faulty_objects(kind, every):
     return [spec for spec in broken if spec is not None][::every]
 
 
-def check_faults(kind, specs):
-    """Assert that every fault is detected and named; at most one repair may fail."""
+def check_faults(kind, specs, failures):
+    """Assert that every fault is detected and named, and how many repairs may fail."""
     repaired = 0
     for spec in specs:
         first = run(spec)
         assert first.verdict.cause in kind.causes, spec.name
         repaired += kind.repairable and repair(spec, run, first=first).after.passed
-    assert not kind.repairable or repaired >= len(specs) - 1
+    assert not kind.repairable or repaired >= len(specs) - failures
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -41,10 +41,10 @@ def test_valid_objects_pass(name):
 
 @KIND
 def test_a_fault_is_detected_named_and_repaired(kind):
-    check_faults(kind, faulty_objects(kind, 1)[:1])
+    check_faults(kind, faulty_objects(kind, 1)[:1], failures=0)
 
 
 @pytest.mark.slow
 @KIND
 def test_faults_of_all_magnitudes_are_detected_named_and_repaired(kind):
-    check_faults(kind, faulty_objects(kind, 2))
+    check_faults(kind, faulty_objects(kind, 2), failures=2)

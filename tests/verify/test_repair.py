@@ -5,8 +5,7 @@ import json
 import pytest
 from pydantic import ValidationError
 
-from neoworld_mjx.config import VerifyOptions
-from neoworld_mjx.verify import Patch, verification, verify_and_repair
+from neoworld_mjx.verify import Patch
 from neoworld_mjx.verify.patch import apply
 from tests.support import furniture as objects
 
@@ -72,22 +71,3 @@ def test_patches_join_and_survive_json():
     assert both.parts["door"].shift == pytest.approx((0.3, 0, 0))
     assert Patch.model_validate_json(both.to_json()) == both
     assert "joints" not in json.loads(both.to_json())
-
-
-def test_results_are_cached_by_content_and_version(tmp_path, monkeypatch):
-    monkeypatch.setenv("NEOWORLD_CACHE", str(tmp_path))
-    spec = objects.cupboard(damping=0.0, friction=0.0)
-    first = verify_and_repair(spec)
-    assert first.verdict.passed
-    assert first.before is not None
-    monkeypatch.setattr(
-        verification, "run_object_tests", lambda *_, **__: pytest.fail("the result is cached")
-    )
-    assert verify_and_repair(spec) == first
-    with pytest.raises(pytest.fail.Exception):
-        verify_and_repair(spec, VerifyOptions(impulse_ns_per_kg=0.31))
-    with pytest.raises(pytest.fail.Exception):
-        verify_and_repair(objects.cupboard())
-    monkeypatch.setattr(verification, "VERSION", "another")
-    with pytest.raises(pytest.fail.Exception):
-        verify_and_repair(spec)

@@ -78,7 +78,6 @@ def finished(tmp_path):
             (stage / "refine").mkdir()
             _history(stage / "refine" / "history.npz")
         run.fallback("refine", "native", "no GPU here")
-        run.record("metrics", mean_log_scale=-0.01, mean_shift_m=0.004, mean_turn_deg=1.0)
         run.record("metrics", objects=4, movable=3, passed=True, checks=_scene_checks())
         ious = {"parsed": 0.9, "composed": 0.8, "refined": 0.85}
         objects = {"cup": ious | {"parsed": None, "refined": 0.61}, "jar": ious}
@@ -119,7 +118,7 @@ def test_a_whole_run_shows_its_numbers_pictures_and_verdicts(finished):
     for message in (
         *("1 fallback was used", "refine : native — no GPU here", "valid: all 6 checks pass"),
         *("free fall: drift 2.1 mm, at most 10.0 mm", "force perturbation: energy"),
-        *("tilt 0.0", "degrees, at most 5.0 degrees", "3 movable objects of 4", "moved after"),
+        *("tilt 0.0", "degrees, at most 5.0 degrees", "3 movable objects of 4"),
         "refine.cem.population 16 64",
     ):
         assert message in words, message
@@ -137,9 +136,6 @@ def test_a_run_that_is_not_valid_says_so_with_its_reasons_in_every_place(finishe
         "jar: drift 50.0 mm, at most 10.0 mm",
         "jar: settled away from its place by 340 % of the limit, at most 100 % of the limit",
     ]
-    (finished / "compose").mkdir(exist_ok=True)
-    unstable = {"unstable": [{"phrase": "jar falls 1.6 m: it does not rest on table"}]}
-    (finished / "compose" / "check.json").write_text(json.dumps(unstable))
     with RunFolder(finished, Config(), "resume") as run:
         run.record("metrics", passed=False, checks=checks)
         run.data["status"] = "finished"
@@ -147,7 +143,6 @@ def test_a_run_that_is_not_valid_says_so_with_its_reasons_in_every_place(finishe
     head, _, rest = html.partition("</header>")
     line = f"not valid: {'; '.join(reasons)}"
     assert line in _words(head) and 'class="good"' not in head
-    assert "before the search: jar falls 1.6 m" in _words(head)
     assert all(f"✗ fail {reason}" in _words(rest) for reason in reasons)
     assert '<details class="object" open>' in rest and "1 of 1 fail" in _words(rest)
     assert verdict_line(read_run(finished)["metrics"]) == line
@@ -259,26 +254,19 @@ def test_the_alignment_with_the_photograph_is_shown(finished):
         "can": _place("pixels", yaw=None, yaw_deg=0.0),
         "clock": _place("pixels", along=0.0, across=0.00002, yaw=1e-4, yaw_deg=0.0),
     }
-    outlines = {
-        "cup": {"composed": 6.14, "aligned": 0.72},
-        "jar": {"composed": 3.0, "aligned": None},
-    }
-    camera = {"pitch_deg": 0.36, "roll_deg": -0.64, "fovy_deg": -0.01, "height_m": 0.0043}
-    _align(finished, objects, outlines_px=outlines, **camera)
+    pitch = {"value": 0.5, "deviation": 0.01, "source": "the response"}
+    _align(finished, objects, camera={"pitch": pitch})
     Image.new("RGB", (120, 40), "green").save(finished / "pictures" / "outlines.png")
     words = _photograph(finished)
     for message in (
         "Outlines of the composed scene, orange, and of the aligned scene, green",
-        "pitch (down) by +0.4°, its roll by -0.6°, its vertical field of view by 0.0° and its "
-        "height by +4 mm.",
-        "cup pixels 5 +4 -1 6.1 0.7 along the view ±6 mm, across ±1 mm, heading ±2°, size ±3 %",
-        "jar 2D box: it is see-through 5 0 -1 3.0 unknown along the view ±6 mm, across ±1 mm, "
-        "heading not seen",
-        "lid composition: it has no visible contour 5.0 +4 -1 unknown unknown along the view ±6 "
+        "pitch 28.65 ° ±0.57 ° the response",
+        "cup pixels 5 +4 -1 along the view ±6 mm, across ±1 mm, heading ±2°, size ±3 %",
+        "jar 2D box: it is see-through 5 0 -1 along the view ±6 mm, across ±1 mm, heading not seen",
+        "lid composition: it has no visible contour 5.0 +4 -1 along the view ±6 "
         "mm, across ±0.4 mm, heading ±3°, size ±3 %",
-        "can pixels 5 0.0 -1 unknown unknown along the view ±6 mm, across ±1 mm, heading not seen",
-        "clock pixels 5.0 0.0 -1 unknown unknown along the wall ±0.1 mm, size ±3 %",
-        *("Outline off: median distance", "green where"),
+        "can pixels 5 0.0 -1 along the view ±6 mm, across ±1 mm, heading not seen",
+        "clock pixels 5.0 0.0 -1 along the wall ±0.1 mm, size ±3 %",
     ):
         assert message in words, message
     _align(finished, {})

@@ -12,8 +12,10 @@ import numpy as np
 
 from neoworld_mjx.config import ProgramOptions
 from neoworld_mjx.errors import SpecError, choices
+from neoworld_mjx.export.importing import import_object
+from neoworld_mjx.io import read_model
 from neoworld_mjx.spec import ObjectSpec
-from neoworld_mjx.verify.checking import object_of_file
+from neoworld_mjx.verify.read_target import build_patched
 
 from ..rows import Row
 from .joint_measure import Front, Mean, ObjectTruth, canonical_points, joint_measure, truth_of
@@ -65,6 +67,13 @@ class ObjectScoreRow(Row):
     """Names of the missed joints, with those of their parts."""
     reason: str
     """Reason why there is no object; all its joints then count as missed."""
+
+
+def _object(file: Path, options: ProgramOptions) -> ObjectSpec:
+    """Read the object of a file: a program (.py), JSON, URDF or MJCF."""
+    if file.suffix == ".json":
+        return read_model(file, ObjectSpec, SpecError, "an object")
+    return build_patched(file, options).spec if file.suffix == ".py" else import_object(file).spec
 
 
 def object_files(folder: Path) -> dict[str, Path]:
@@ -132,12 +141,12 @@ def score_object(
         SpecError: the ground-truth object cannot be read.
     """
     o = options or ProgramOptions()
-    true_spec = object_of_file(object_files(truth)[name], o)
+    true_spec = _object(object_files(truth)[name], o)
     true = truth_of(true_spec).model_copy(update={"front": front})
     file, spec, reason = object_files(made).get(name), None, "not made"
     if file is not None:
         try:
-            spec, reason = object_of_file(file, o), ""
+            spec, reason = _object(file, o), ""
         except SpecError as error:
             reason = str(error)[:300]
     joints = joint_measure(ObjectTruth(name=name, box=true.box) if spec is None else spec, true)

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.environments.predicates import Predicate, named_objects
 from neoworld_mjx.mllm import Panel, Picture, Request, ask_or_record, package_text
+from neoworld_mjx.mllm.panel import run_coroutine
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.render import View, render
@@ -275,7 +276,7 @@ def plan_rows(
             fallbacks: list[tuple[str, str]] = []
             request = plan_request(task, scene, photo)
             stage = f"{request.name} was not answered"
-            answer = models.run(ask_or_record(models, request, stage, fallbacks))
+            answer = run_coroutine(ask_or_record(models, request, stage, fallbacks))
             if answer is None:
                 yield failed(reason=f"no plan: {fallbacks[0][1] if fallbacks else 'none given'}")
                 continue

@@ -14,7 +14,7 @@ from ..evidence_lines import evidence_lines
 from .page import cropped_picture, elements, read_json, size_cm, support_of
 
 TITLE = "Objects"
-BOXES, REFINEMENT = "fit to the boxes", "refinement"
+BOXES, REFINEMENT, RESCUE = "fit to the boxes", "refinement", "from the given pose"
 LEAST_M, LEAST_SIZE, LEAST_DEG = 5e-4, 5e-4, 0.05
 """Changes of position [m], size (relative) and angle [deg] below which all digits shown are 0."""
 MARGIN = 0.12
@@ -92,16 +92,21 @@ def object_checks(verified: Mapping[str, Any]) -> list[Check]:
 
 
 def all_moves(folder: Path) -> dict[str, dict[str, str]]:
-    """Return the changes of each object by the 2D boxes and the refinement, as text by step."""
+    """Return the changes of each object by the 2D boxes and the refinement, as text by step.
+
+    In a rescue, also return the changes from the given scene to the refined one.
+    """
     by_boxes = (read_json(folder / "compose" / "fit.json") or {}).get("objects", {})
     moves: dict[str, dict[str, str]] = {}
     for name, change in by_boxes.items():
         text = _change(math.hypot(*change["shift_m"]), change["size_ratio"], change["yaw_deg"])
         moves.setdefault(name, {})[BOXES] = text
-    composed, refined = folder / "compose" / "scene.json", folder / "scene.json"
-    if composed.is_file() and refined.is_file():
-        for name, move in object_moves(read_scene(composed), read_scene(refined)).items():
-            moves.setdefault(name, {})[REFINEMENT] = _change(
+    refined = folder / "scene.json"
+    for label, file in ((REFINEMENT, "compose/scene.json"), (RESCUE, "given.json")):
+        if not ((folder / file).is_file() and refined.is_file()):
+            continue
+        for name, move in object_moves(read_scene(folder / file), read_scene(refined)).items():
+            moves.setdefault(name, {})[label] = _change(
                 move.distance_m, move.size_ratio, move.yaw_deg, move.turn_deg
             )
     return moves
@@ -138,7 +143,7 @@ def _facts(
 def _pictures(folder: Path, node: Mapping[str, Any], camera: Any) -> list[Markup]:
     """Return crops of the photograph and of the rendered scene around the object."""
     box = node.get("box2d")
-    if box is None or not isinstance(camera, dict):
+    if box is None or not isinstance(camera, dict) or not (folder / "photo.png").is_file():
         return []
     width, height = camera["width"], camera["height_px"]
     margin = MARGIN * max(box["x1"] - box["x0"], box["y1"] - box["y0"])

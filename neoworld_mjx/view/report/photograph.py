@@ -1,4 +1,4 @@
-"""Sections on agreement with the photograph: the alignment of Step 4, and a rescue."""
+"""Section on the alignment of Step 4 with the photograph."""
 
 import math
 from pathlib import Path
@@ -6,33 +6,13 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ...measure import object_moves
-from ...spec import read_scene
-from ..evidence_lines import CONTOUR, DEPTH, MASK, deviation_phrase, digits_of, evidence_lines
+from ..evidence_lines import deviation_phrase, digits_of
 from .page import elements, picture, read_json
 
 TITLE = "The photograph"
-OUTLINE_OFF = (
-    "Outline off: median distance between the object's outline and the nearest edge of its colors "
-    "in the photograph, in pixels of an image 640 px wide. Distances are at most 24 px; above 6 px "
-    "they are rather too small. The distance is unknown if the colors of the object do not differ "
-    "from those behind it."
-)
-"""Explanation of the distances that `_outline_off` formats."""
-RESCUE_TITLE, GIVEN = "From the given poses", "given.json"
-CHECKED = (
-    "The shapes and poses of the objects were given. The scene as a whole was checked for "
-    "penetration and for motion in free fall (below). The individual objects were not checked: no "
-    "object test ran, and shapes, masses and friction are as given or assumed (see the notes)."
-)
 _SOURCES = {"pixels": "pixels", "box": "2D box", "none": "composition"}
 """Words for the values of `evidence` in align.json, which determined the pose of an object."""
-_SCENES = ("composed", "aligned")
 _CAPTION = "Outlines of the composed scene, orange, and of the aligned scene, green"
-_EVIDENCE = (
-    "Pixels of the aligned scene: green where pixels of an object look like the object, red where "
-    "they look like the background, and blue where pixels around the object look like the object"
-)
 _DEPTH = (
     "Rendered minus measured distance along each pixel's ray: red where the aligned scene is "
     "farther than the depth image, blue where it is nearer, gray where nothing is measured"
@@ -44,7 +24,7 @@ _VIEW = (
 _NOTE = (
     "Changes from the composed to the aligned scene, each in the frame of the object's support. "
     '"Known to" states standard deviations. "Heading not seen" means that the photograph gives no '
-    "information about the heading. "
+    "information about the heading."
 )
 
 
@@ -60,36 +40,20 @@ def photograph_section(folder: Path) -> Markup:
     if not objects:
         note = "Nothing was aligned: the scene has no camera or no movable object."
         return elements.section(TITLE, elements.missing(note))
-    outlines = aligned.get("outlines_px") or {}
     depth_png = folder / "pictures" / "depth.png"
-    heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %"]
-    heads += ["#outline off, composed, px", "#aligned, px"] if outlines else []
-    heads += ["known to"]
+    heads = ["object", "placed by", "#moved, mm", "#turned, deg", "#size, %", "known to"]
     return elements.section(
         TITLE,
         elements.div(
             "pictures",
             picture(folder / "pictures" / "outlines.png", _CAPTION),
-            picture(folder / "pictures" / "evidence.png", _EVIDENCE) if outlines else "",
             picture(depth_png, _DEPTH) if depth_png.is_file() else "",
             *(picture(file, _VIEW) for file in sorted((folder / "pictures").glob("view_*.png"))),
         ),
-        elements.paragraph(_camera(aligned)),
         *_camera_sources(aligned),
-        elements.table(heads, [_row(name, change, outlines) for name, change in objects.items()]),
-        elements.paragraph(_NOTE + (OUTLINE_OFF if outlines else ""), "dim"),
-        *(_evidence(folder, aligned) if (folder / GIVEN).is_file() else ()),
+        elements.table(heads, [_row(name, change) for name, change in objects.items()]),
+        elements.paragraph(_NOTE, "dim"),
     )
-
-
-def _evidence(folder: Path, aligned: dict[str, Any]) -> list[Markup]:
-    """Return a table of depth and masks for a rescue, whose report has no rows of objects."""
-    supports = {o.name: o.parent or "the world" for o in read_scene(folder / GIVEN).objects}
-    rows = []
-    for name in aligned["objects"]:
-        lines = evidence_lines(aligned, {}, name, supports.get(name, "its support"))
-        rows.append([name, *(lines.get(kind, "none") for kind in (CONTOUR, DEPTH, MASK))])
-    return [elements.table(["object", CONTOUR, DEPTH, MASK], rows)]
 
 
 def _camera_sources(aligned: dict[str, Any]) -> list[Markup]:
@@ -107,20 +71,7 @@ def _camera_sources(aligned: dict[str, Any]) -> list[Markup]:
     return [elements.table(heads, rows)] if rows else []
 
 
-def _camera(aligned: dict[str, Any]) -> str:
-    """Return a sentence with the changes of the camera."""
-    keys = ("pitch_deg", "roll_deg", "fovy_deg")
-    pitch, roll, fovy = (_signed(aligned[key], 1) for key in keys)
-    height = _signed(1000 * aligned["height_m"], 0)
-    if {pitch, roll, fovy, height} == {"0.0", "0"}:
-        return "The alignment did not change the camera."
-    return (
-        f"The alignment changed the camera's pitch (down) by {pitch}°, its roll by {roll}°, its "
-        f"vertical field of view by {fovy}° and its height by {height} mm."
-    )
-
-
-def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[str]:
+def _row(name: str, change: dict[str, Any]) -> list[str]:
     """Return the cells of an object; the standard deviation of a change determines its digits."""
     deviations = change["uncertainty"]
     along, across = 1000 * deviations["along"], 1000 * deviations["across"]
@@ -135,7 +86,6 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
         f"{shift_mm:.{digits_of(least)}f}",
         _signed(change["yaw_deg"], digits_of(heading)),
         _signed(100 * (change["size_ratio"] - 1), digits_of(size)),
-        *(_outline_off(outlines.get(name, {}).get(key)) for key in _SCENES if outlines),
         deviation_phrase(deviations),
     ]
 
@@ -143,23 +93,3 @@ def _row(name: str, change: dict[str, Any], outlines: dict[str, Any]) -> list[st
 def _signed(value: float, digits: int) -> str:
     rounded = round(value, digits) + 0.0  # Adding 0.0 turns -0.0 into 0.0.
     return f"{rounded:+.{digits}f}" if rounded else f"{rounded:.{digits}f}"
-
-
-def _outline_off(value: float | None) -> str:
-    """Format the distance [px] of an outline from that in the photograph; None is unknown."""
-    return "unknown" if value is None else f"{value:.1f}"
-
-
-def rescue_section(folder: Path) -> Markup:
-    """Return the changes from the poses of another method; empty markup for any other run."""
-    if not (folder / GIVEN).is_file():
-        return Markup()
-    if not (folder / "scene.json").is_file():
-        return elements.section(RESCUE_TITLE, elements.missing("There is no refined scene."))
-    moves = object_moves(read_scene(folder / GIVEN), read_scene(folder / "scene.json"))
-    rows = [
-        [name, f"{1e3 * m.distance_m:.1f}", f"{m.turn_deg:.1f}", f"{m.size_ratio:.3f}"]
-        for name, m in moves.items()
-    ]
-    table = elements.table(["object", "#moved, mm", "#turned, deg", "#size ratio"], rows)
-    return elements.section(RESCUE_TITLE, elements.paragraph(CHECKED), table)

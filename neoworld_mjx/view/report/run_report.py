@@ -11,16 +11,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import TemplateError
 from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
 
 from ...config import Config
 from ...errors import NeoWorldError, RunError
+from ...io import read_arrays
 from ...io.files import write_atomic
 from ...quantities import count
 from ...run_folder import STEPS, read_run, refuse_links, step_times, verdict_line
 from ...spec import read_scene
-from . import objects, photograph, scene_3d, search
+from . import objects, photograph, scene_3d
 from .page import document, elements, picture, read_json
 
 _ERRORS = (
@@ -28,8 +31,6 @@ _ERRORS = (
     *(TemplateError, TypeError, ValueError),
 )
 """Exceptions that a section may raise if a file has an unexpected structure."""
-SECTIONS_NOT_IN_RESCUE = ("Pictures", objects.TITLE, "Models")
-"""Sections about steps that do not belong to a rescue."""
 
 
 def write_report(folder: Path) -> Path:
@@ -44,22 +45,19 @@ def write_report(folder: Path) -> Path:
     tree = read_json(folder / "tree.json") or {}
     title = run["photo"].get("name") or folder.resolve().name
     sections: list[tuple[str, Callable[[], Markup]]] = [
-        (title, lambda: _header(run, title, folder)),
+        (title, lambda: _header(run, title)),
         ("Fallbacks", lambda: _fallbacks(run)),
         ("Notes", lambda: _notes(run)),
-        (photograph.RESCUE_TITLE, lambda: photograph.rescue_section(folder)),
         ("Checks", lambda: _checks(run)),
         ("Pictures", lambda: _pictures(folder, tree)),
         (photograph.TITLE, lambda: photograph.photograph_section(folder)),
         (objects.TITLE, lambda: objects.object_rows(folder, run, tree)),
         (scene_3d.TITLE, lambda: _scene_3d(folder)),
-        (search.TITLE, lambda: search.convergence(folder / "refine" / "history.npz")),
+        (SEARCH, lambda: _convergence(folder / "refine" / "history.npz")),
         ("Time", lambda: _time(run)),
         ("Models", lambda: _models(run)),
         ("Options and versions", lambda: _settings(run)),
     ]
-    if (folder / photograph.GIVEN).is_file():
-        sections = [entry for entry in sections if entry[0] not in SECTIONS_NOT_IN_RESCUE]
     page = document(
         f"{title}: scene report",
         [_draw_section(name, section) for name, section in sections],
@@ -83,7 +81,7 @@ def _draw_section(title: str, section: Callable[[], Markup]) -> Markup:
         return elements.section(title, elements.missing(note))
 
 
-def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
+def _header(run: dict[str, Any], title: str) -> Markup:
     """Return the header with the status of the run and the verdict on its scene."""
     status, metrics = str(run["status"]), run["metrics"]
     passed = metrics.get("passed")
@@ -92,16 +90,12 @@ def _header(run: dict[str, Any], title: str, folder: Path) -> Markup:
     if passed is False:
         color = "bad"
         errors.append(verdict_line(metrics))
-        moving = (read_json(folder / "compose" / "check.json") or {}).get("unstable", [])
-        if moving:
-            phrases = "; ".join(str(entry["phrase"]) for entry in moving)
-            errors.append(f"Moved in free fall before the search: {phrases}")
     else:
         status = f"{status}, {verdict_line(metrics)}"
     facts = [
         f"seed {run.get('seeds', {}).get('run')}",
         f"options {run.get('fingerprint')}",
-        f"engine {run['device']['engine']}" if run["device"].get("engine") else "",
+        f"engine {metrics['engine']}" if metrics.get("engine") else "",
         f"on {run['device'].get('cores')} cores",
         f"started {run['started']}" if run.get("started") else "",
     ]
@@ -122,7 +116,7 @@ def _notes(run: dict[str, Any]) -> Markup:
 
 
 def _checks(run: dict[str, Any]) -> Markup:
-    """Return the checks of the refined scene, and the changes by the search."""
+    """Return the checks of the refined scene."""
     metrics = run["metrics"]
     if not metrics:
         finished = {name.partition("/")[0] for name in run["steps"]}
@@ -134,12 +128,6 @@ def _checks(run: dict[str, Any]) -> Markup:
         for check in metrics.get("checks", ())
     ]
     facts = [f"{count(metrics.get('movable', 0), 'movable object')} of {metrics.get('objects')}"]
-    if metrics.get("mean_shift_m") is not None:
-        facts.append(
-            f"moved after composition, on average, by {1000 * metrics['mean_shift_m']:.1f} mm and "
-            f"{metrics['mean_turn_deg']:.1f}°, settling included, and scaled by "
-            f"{math.expm1(metrics['mean_log_scale']):+.1%}"
-        )
     iou = (metrics.get("box_iou") or {}).get("refined")
     if iou is not None:
         facts.append(f"mean IoU of the visible and the parsed 2D boxes {iou:.2f}")
@@ -160,13 +148,18 @@ def _pictures(folder: Path, tree: dict[str, Any]) -> Markup:
             f"; camera {camera['height']:.2f} m high, pitched down {pitch:.1f}°, vertical field of "
             f"view {fovy:.1f}°"
         )
-    pictures = [
-        picture(folder / "photo.png", "Photograph"),
-        picture(folder / "pictures" / "parse.png", boxes),
-        picture(folder / "pictures" / "before.png", "Composed, before refinement"),
-        picture(folder / "pictures" / "after.png", "Refined"),
-    ]
-    return elements.section("Pictures", elements.div("pictures", *pictures))
+    captions = {
+        "photo.png": "Photograph",
+        "pictures/parse.png": boxes,
+        "pictures/before.png": "Composed, before refinement",
+        "pictures/after.png": "Refined",
+    }
+    files = {folder / file: caption for file, caption in captions.items()}
+    pictures = [picture(file, caption) for file, caption in files.items() if file.is_file()]
+    shown = (
+        elements.div("pictures", *pictures) if pictures else elements.missing("No pictures yet.")
+    )
+    return elements.section("Pictures", shown)
 
 
 def _scene_3d(folder: Path) -> Markup:
@@ -243,3 +236,49 @@ def _differences(default: Any, configured: Any, path: str = "") -> list[tuple[st
             )
         ]
     return [] if default == configured else [(path, default, configured)]
+
+
+SEARCH = "Convergence of the search"
+_TERMS = "Terms are those of the candidate with the best reward, in SI units, with their weights."
+
+
+def _convergence(path: Path) -> Markup:
+    """Return the section with rewards, terms and numbers of candidates by iteration.
+
+    Args:
+        path: history.npz, with the arrays `reward`, `valid` and `status` and an array for each
+            name in `term_names`, all of shape [iteration, candidate], and `term_weights` [term].
+    """
+    if not path.exists():
+        return elements.section(SEARCH, elements.missing("No refine/history.npz yet."))
+    try:
+        history = read_arrays(path, RunError)
+    except RunError as error:
+        note = f"refine/history.npz cannot be read: {error}"
+        return elements.section(SEARCH, elements.missing(note))
+    reward = history["reward"]
+    if not len(reward):
+        note = "The composed scene was accepted; no search was needed."
+        return elements.section(SEARCH, elements.paragraph(note))
+    names = [str(name) for name in history["term_names"]]
+    valid = np.sum(history["valid"], axis=1)
+    failed = np.sum(~np.isfinite(reward), axis=1)
+    best, mean = _over_finite(reward, np.max), _over_finite(reward, np.mean)
+    chosen = np.where(np.isfinite(reward), reward, -np.inf).argmax(axis=1)
+    rows = [
+        [
+            *(t + 1, f"{best[t]:.4f}", f"{mean[t]:.4f}", reward.shape[1], valid[t], failed[t]),
+            *(f"{history[name][t, chosen[t]]:.4g}" for name in names),
+        ]
+        for t in range(len(reward))
+    ]
+    heads = ["#iteration", "#best reward", "#mean reward", "#sampled", "#valid", "#failed"]
+    weights = history["term_weights"]
+    heads += [f"#{name} × {weight:g}" for name, weight in zip(names, weights, strict=True)]
+    return elements.section(SEARCH, elements.table(heads, rows), elements.paragraph(_TERMS, "dim"))
+
+
+def _over_finite(values: ArrayLike, function: Callable[[NDArray], Any]) -> NDArray:
+    """Reduce the finite values of each iteration to one number, or NaN if there are none."""
+    rows = [row[np.isfinite(row)] for row in np.asarray(values, float)]
+    return np.array([float(function(row)) if row.size else np.nan for row in rows])

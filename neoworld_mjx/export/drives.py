@@ -1,10 +1,9 @@
-"""Writes drives.xml, an MJCF file that includes a scene or an object and adds position actuators.
+"""Drives: critically damped position actuators for the joints of a scene, which environments add.
 
-The actuators are in a separate file because they resist motion. Without actuators, a gripper can
-pull a drawer open by the drawer's handle.
+Exported scenes have none, because drives resist motion: without them, a gripper can pull a drawer
+open by the drawer's handle.
 """
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import mujoco
@@ -12,12 +11,9 @@ import numpy as np
 
 from ..physics.mjcf import START, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
-from .write_glb import numbers
 
 RATE = 20.0
 """Natural frequency of a critically damped drive [rad/s]."""
-GROUP = 1
-"""Actuator group of the drives; <option actuatorgroupdisable="1"/> disables them."""
 
 
 @dataclass(frozen=True)
@@ -78,55 +74,11 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
     return tuple(result)
 
 
-def drives_text(scene: SceneSpec | ObjectSpec, file: str) -> str | None:
-    """Return MJCF that includes a file and adds position actuators; None if there are no drives.
-
-    The keyframe "held" contains the state of the scene and the targets that hold this state.
-
-    Args:
-        scene: the scene or object in the included file.
-        file: name of the included file.
-    """
-    all_drives = drives(scene)
-    if not all_drives:
-        return None
-    root = ET.Element("mujoco", model=scene.name)
-    ET.SubElement(root, "include", file=file)
-    defaults = ET.SubElement(ET.SubElement(root, "default"), "default", {"class": "drives"})
-    ET.SubElement(defaults, "position", group=str(GROUP))
-    actuators = ET.SubElement(root, "actuator")
-    for drive in all_drives:
-        _add_drive(actuators, drive)
-    keys = ET.SubElement(root, "keyframe")
-    _, data = _posed(scene)
-    targets = numbers([drive.target for drive in all_drives])
-    ET.SubElement(keys, "key", name="held", qpos=numbers(data.qpos), ctrl=targets)
-    ET.indent(root, " ")
-    return ET.tostring(root, encoding="unicode") + "\n"
-
-
 def _posed(scene: SceneSpec | ObjectSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
     model = to_mjspec(scene).compile()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
     return model, data
-
-
-def _add_drive(actuators: ET.Element, drive: Drive) -> None:
-    fields = {
-        "class": "drives",
-        "name": drive.name,
-        "joint": drive.joint,
-        "kp": numbers([drive.stiffness]),
-        "kv": numbers([drive.damping]),
-    }
-    if drive.axis:
-        fields["gear"] = " ".join(str(int(drive.axis == a)) for a in "xyz") + " 0 0 0"
-    elif drive.range is not None:
-        fields["ctrlrange"] = numbers(drive.range)
-    if drive.effort is not None:
-        fields["forcerange"] = numbers([-drive.effort, drive.effort])
-    ET.SubElement(actuators, "position", fields)
 
 
 def _target(qpos: np.ndarray, axis: str) -> float:
