@@ -5,9 +5,9 @@
     done
     uv run python examples/draw_gallery.py runs docs/pictures
 
-writes examples.jpg (photograph, refined scene, the same with joints open), coffee.jpg (photograph,
-outlines of the reconstruction, refined scene) and report.jpg, a part of the report in a browser,
-which needs chromium (`apt-get install chromium`).
+writes examples.jpg (photograph, refined scene, the same with joints open), story.webp (photograph,
+outlines of the reconstruction, refined scene, and the video policy.webp of `neoworld play`) and
+report.jpg, a part of the report in a browser, which needs chromium (`apt-get install chromium`).
 """
 
 import io
@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps, ImageSequence
 
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.program.views import open_state
@@ -24,6 +24,8 @@ from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
 
 HEIGHT, GAP = 300, 8
+STILL_MS, FRAME_MS = 1400, 80
+"""Durations of the still pictures and of the frames of the video in story.webp [ms]."""
 REPORT = (820, 1400)
 """Size of the shown part of the report [px]."""
 
@@ -65,6 +67,16 @@ def first_look(run: Path) -> list[Image.Image]:
     return [photo, aligned, rendered(read_scene(run))]
 
 
+def story(run: Path, video: Path, file: Path) -> None:
+    """Write a moving picture of a run's first look, followed by a video."""
+    with Image.open(video) as film:
+        frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(film)]
+    stills = [ImageOps.fit(each, frames[0].size) for each in first_look(run)]
+    durations = [STILL_MS] * len(stills) + [FRAME_MS] * (len(frames) - 1) + [STILL_MS]
+    first, *others = stills + frames
+    first.save(file, append_images=others, duration=durations, save_all=True, loop=0, quality=60)
+
+
 def sheet(rows: list[list[Image.Image]]) -> Image.Image:
     """Return rows of pictures of one height, each row in the middle."""
     rows = [[p.resize((round(p.width * HEIGHT / p.height), HEIGHT)) for p in row] for row in rows]
@@ -102,7 +114,7 @@ def main(runs: Path, out: Path) -> None:
     """Write the pictures."""
     folders = [runs / name for name in bundled_examples()]
     sheet([row(folder) for folder in folders]).save(out / "examples.jpg", quality=85)
-    sheet([first_look(runs / "coffee")]).save(out / "coffee.jpg", quality=85)
+    story(runs / "drawers", out / "policy.webp", out / "story.webp")
     report(runs / "coffee" / "report.html").save(out / "report.jpg", quality=85)
 
 

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .sweeps.run import ablate as ablate
     from .sweeps.run import sweep as sweep
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 if "gymnasium" in sys.modules:
     import_module(f"{__name__}.environments")  # registers neoworld/Scene-v0
