@@ -29,6 +29,10 @@ TABLES = {
     "tasks": "tasks --starts 2 --method ours --evidence none fov+pose fov+depth",
     "ablations": "tasks --starts 1 --method open_loop no_simulation without_s_sem",
     "photos": "photos",
+    "real": (
+        "real-poses examples/posecnn/data --runs examples/posecnn/runs "
+        "--place-with photo camera depth"
+    ),
     "rescue": "rescue",
     "engines": "engines",
 }
