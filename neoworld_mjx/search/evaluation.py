@@ -127,7 +127,7 @@ def open_evaluation(
     o: RefineOptions,
     engine: Engine,
     *,
-    held: Bool[np.ndarray, " object"] | None = None,
+    resting: Bool[np.ndarray, " object"] | None = None,
     terms: Sequence[Term] = (),
     optimizer: Optimizer | None = None,
     clock: dict[str, float] | None = None,
@@ -138,7 +138,7 @@ def open_evaluation(
         scene: the compiled scene.
         o: options of the search.
         engine: physics engine.
-        held: mask of the objects that are not sampled; they move only with their supports.
+        resting: mask of the objects that are not sampled; they move only with their supports.
         terms: reward terms in addition to those that the options name.
         optimizer: replaces the optimizer that the options name.
         clock: seconds spent on each step; updated in place.
@@ -150,8 +150,8 @@ def open_evaluation(
     own = bool(terms or o.reward.terms or optimizer)
     arrays = padded if not own and o.optimizer in PADDED_OPTIMIZERS else scene
     moves = np.array(arrays.optimised)
-    if held is not None:
-        moves &= ~pad_axis(held, arrays.count)
+    if resting is not None:
+        moves &= ~pad_axis(resting, arrays.count)
     moving = eqx.tree_at(lambda s: s.optimised, arrays, on_device(moves))
     problem = open_problem(moving, o, terms=terms, optimizer=optimizer)
     clock = {} if clock is None else clock

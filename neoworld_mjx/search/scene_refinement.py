@@ -212,16 +212,22 @@ def refine(
         winner, scorer = Winner(INITIAL, Layout.zero(1, len(world.names)), initial, 0), None
         clock["to_valid"] = settled_s = clock["search"]
         if own or not initial.passed or not o.settle.enabled:
-            held = initial.rests(o) & (o.cem.hold_resting and not own and not initial.passed)
+            resting = initial.rests(o) & (o.cem.hold_resting and not own and not initial.passed)
             with timed(clock, "compile"):
-                if held.any():
+                if resting.any():
                     model = compile_for_search(with_resting_fixed(spec, initial, o), o)
                 model = model or compile_for_search(spec, o)
             scorer = SemanticScorer(model, photo, panel, o.semantic) if by_model else None
             try:
                 with timed(clock, "search"):
                     evaluation = open_evaluation(
-                        model, o, engine, held=held, terms=terms, optimizer=optimizer, clock=clock
+                        model,
+                        o,
+                        engine,
+                        resting=resting,
+                        terms=terms,
+                        optimizer=optimizer,
+                        clock=clock,
                     )
                     rounds = search(
                         evaluation,

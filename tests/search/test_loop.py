@@ -52,9 +52,9 @@ def model():
     return compile_for_search(scene(), options())
 
 
-def run(model, o, *, seed=1, terms=(), optimizer=None, held=None, clock=None, **reports):
+def run(model, o, *, seed=1, terms=(), optimizer=None, resting=None, clock=None, **reports):
     evaluation = open_evaluation(
-        model, o, ENGINE, held=held, terms=terms, optimizer=optimizer, clock=clock
+        model, o, ENGINE, resting=resting, terms=terms, optimizer=optimizer, clock=clock
     )
     return evaluation, search(evaluation, seed=seed, **reports)
 
@@ -96,9 +96,9 @@ def test_scenes_are_padded_unless_the_optimizer_is_passed(model):
     assert open_evaluation(model, o, ENGINE, optimizer=own).arrays.count == count
 
 
-def test_objects_that_are_held_are_not_sampled(model):
-    held = np.array([name == "box" for name in model.names])
-    _, (round_,) = run(model, options(1), held=held)
+def test_resting_objects_are_not_sampled(model):
+    resting = np.array([name == "box" for name in model.names])
+    _, (round_,) = run(model, options(1), resting=resting)
     assert moved(round_.layouts.xy) == [False, True, True, False]
 
 
@@ -111,7 +111,7 @@ def test_scores_of_a_model_are_those_of_the_iterations_candidates(model):
     assert (rounds[-1].s_sem_from == ScoreSource.SCORED).all()
 
 
-def test_what_rests_is_held_unless_the_options_or_a_term_forbid_it(monkeypatch):
+def test_what_rests_is_fixed_unless_the_options_or_a_term_forbid_it(monkeypatch):
     """Objects that rest are fixed in the searched scene, unless a user has a term."""
     searched = []
     monkeypatch.setattr(
@@ -122,8 +122,13 @@ def test_what_rests_is_held_unless_the_options_or_a_term_forbid_it(monkeypatch):
         ),
     )
     fixed = lambda: [item.name for item in searched[-1].spec.objects if item.fixed_base]
-    held = refine(scene(), options(1), seed=1, engine=ENGINE)
-    assert fixed() == ["low", "box"] and moved(held.history["xy"][0]) == [False, False, True, False]
+    resting = refine(scene(), options(1), seed=1, engine=ENGINE)
+    assert fixed() == ["low", "box"] and moved(resting.history["xy"][0]) == [
+        False,
+        False,
+        True,
+        False,
+    ]
     free = refine(scene(), options(1, cem={"hold_resting": False}), seed=1, engine=ENGINE)
     assert not fixed() and moved(free.history["xy"][0]) == [False, True, True, True]
     term = Term("nothing", lambda s, z, r: z.yaw[:, 0] * 0.0, 1.0)
