@@ -214,10 +214,10 @@ class SceneCheck(Spec):
 
     def phrase(self) -> str:
         """Return one line, such as "mug: tilt 12.3 degrees, at most 5.0 degrees"."""
+        if self.name == HELD:
+            return f"{', '.join(self.failing)}: {self.quantity}"
         where = self.where.replace("|", " and ") or "scene"
         more = f" (and {len(self.failing) - 1} more)" if len(self.failing) > 1 else ""
-        if self.name == HELD:
-            return f"{where}{more}: {self.quantity}"
         value, bound = (format_quantity(v, self.unit) for v in (self.value, self.threshold))
         return f"{where}{more}: {self.quantity} {value}, at most {bound}"
 

@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.config import load_config
 from neoworld_mjx.pipeline import refine_again
 from neoworld_mjx.run_folder import RunFolder
-from neoworld_mjx.spec import Box
+from neoworld_mjx.spec import Box, SceneSpec, world_poses
 from neoworld_mjx.view.scene_viewer import verdict_of
 from neoworld_mjx.view.target import open_target
 from tests.support import scenes
@@ -28,7 +28,7 @@ CONFIG = load_config(
 
 @pytest.fixture(scope="module")
 def fallen(tmp_path_factory):
-    """A refined run in which a plate fell from its support, and rests on the table."""
+    """A refined run in which a plate that would fall from its support is held there."""
     low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
     plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
     scene = scenes.on_table(
@@ -41,12 +41,15 @@ def fallen(tmp_path_factory):
     return out, refine_again(out)
 
 
-def test_a_scene_in_which_an_object_fell_and_rests_is_not_valid_anywhere(fallen, neoworld):
+def test_a_scene_in_which_an_object_would_fall_is_not_valid_anywhere(fallen, neoworld):
     out, result = fallen
     run = json.loads((out / "run.json").read_text())
     failed = [check for check in run["metrics"]["checks"] if not check["passed"]]
-    assert [check["name"] for check in failed] == ["settled_away"]
-    assert failed[0]["where"] == "plate" and failed[0]["value"] > failed[0]["threshold"] == 1
+    assert [check["name"] for check in failed] == ["held"]
+    # The plate would fall, and it is held together with what carries it.
+    assert failed[0]["failing"] == ["low", "plate"] and failed[0]["phrase"].startswith("low, plate")
+    scene = SceneSpec.model_validate_json((out / "scene.json").read_text())
+    assert world_poses(scene)["plate"].pos[2] == pytest.approx(0.06, abs=2e-3)
     line = result.verdict
     assert line == f"not valid: {failed[0]['phrase']}" and line in repr(result)
     checked = neoworld("check", out)

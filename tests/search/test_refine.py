@@ -119,10 +119,11 @@ def test_a_scene_that_passes_is_compiled_once_and_not_scored(compiled):
         refine(scenes.blocks(), options().model_copy(update={"optimizer": "cme"}), engine="native")
 
 
-def test_a_searched_scene_is_compiled_twice(compiled):
-    """Once for all final checks, and once for the search, whatever the number of finalists."""
+def test_a_searched_scene_is_compiled_once_more_for_each_use(compiled):
+    """Once for all final checks, once for the search, and once with the objects that are held."""
     searched = refine(unreachable(), options(32, 2), engine="native")
-    assert searched.iterations == 2 and searched.finalists_tried == 4 and len(compiled) == 2
+    assert searched.iterations == 2 and searched.finalists_tried == 4 and len(compiled) == 3
+    assert searched.measure.held
 
 
 @pytest.mark.parametrize("scene", [scenes.blocks(), scenes.furnished()], ids=["blocks", "cabinet"])

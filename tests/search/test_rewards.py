@@ -116,7 +116,8 @@ def test_the_prior_is_the_mean_square_of_all_numbers_over_their_deviations():
     yaw[0, scene.names.index("table")] = 1.0  # not optimised
     layouts = Layout(jnp.asarray(xy), jnp.asarray(yaw), jnp.asarray(log_scale))
     ones = np.ones((1, 3), np.float32)
-    deviations = Layout(sigma[0] * diagonal * ones[..., None], sigma[1] * ones, sigma[2] * ones)
+    of_xy = np.full((1, 3, 2), sigma[0] * diagonal, np.float32)
+    deviations = Layout(of_xy, sigma[1] * ones, sigma[2] * ones)
     of = lambda scene, origin: float(rewards.prior(scene, layouts, deviations, origin)[0])
     zero = Layout.zero(1, 3)
     assert of(scene, zero) == pytest.approx((4 / 4 + (9 + 16 + 1) / 4) / 2)
