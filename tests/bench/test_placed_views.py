@@ -76,7 +76,8 @@ def test_a_view_is_evidence_of_its_camera_and_depth(view):
 
 def test_runs_are_placed_in_meters_by_camera_and_depth(view, run):
     assert list(placed_views(view, run, (), Config())) == []
-    photo, depth = placed_views(view, run, ("photo", "depth"), Config())
-    assert (photo.stage, depth.stage) == ("placed, photo", "placed, depth")
-    alone, measured = absolute(view, photo), absolute(view, depth)
-    assert max(measured.values()) < 3 < min(alone.values())
+    made = list(placed_views(view, run, ("photo", "depth"), Config()))
+    stages = [f"{step}, {known}" for known in ("photo", "depth") for step in ("placed", "refined")]
+    assert [each.stage for each in made] == stages
+    *alone, placed, refined = [absolute(view, each).values() for each in made]
+    assert max(*placed, *refined) < 3 < min(min(errors) for errors in alone)

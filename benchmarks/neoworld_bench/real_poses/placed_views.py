@@ -18,7 +18,7 @@ from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.io import read_model
 from neoworld_mjx.io.text_files import read_untrusted_text
 from neoworld_mjx.parse.photo import load_photo
-from neoworld_mjx.pipeline.place import place
+from neoworld_mjx.pipeline.place import place, refine_placed
 from neoworld_mjx.program import build
 from neoworld_mjx.spec import ObjectSpec, SceneSpec, SceneTree
 
@@ -37,7 +37,9 @@ class MadeView:
 def placed_views(
     view: TrueView, run: Path, known: Sequence[KnownView], config: Config
 ) -> Iterator[MadeView]:
-    """Place the objects of a run by Step 4 with what is known, once for each of `known`.
+    """Place and refine the objects of a run (Steps 4 and 5), once for each of `known`.
+
+    Yields the scene of either step.
 
     Args:
         view: the view with its camera and depth.
@@ -57,6 +59,15 @@ def placed_views(
         evidence = evidence_of_view(view, photo, kind)
         placed = place(tree, objects, evidence, config.compose, name=view.name)
         yield MadeView(f"placed, {kind}", placed.scene)
+        refined = refine_placed(
+            placed.scene,
+            config.refine,
+            seed=config.seed,
+            photo=photo,
+            again=config.compose.align,
+            evidence=evidence,
+        )
+        yield MadeView(f"refined, {kind}", refined.scene)
 
 
 def evidence_of_view(view: TrueView, photo: PhotoPixels, known: KnownView) -> Evidence:
