@@ -16,14 +16,12 @@ class EngineEntry(NamedTuple):
     """The engine's class as "module:Class". The module name is relative to this package."""
     purpose: str
     """Hardware and simulator that the engine uses, for help texts."""
-    agreement: float
-    """Least fraction of verdicts that must equal MuJoCo's, for layouts away from the thresholds."""
 
 
 ENGINES: dict[str, EngineEntry] = {
-    "warp": EngineEntry(".physics.warp_engine:WarpEngine", "MuJoCo Warp on NVIDIA GPUs", 0.98),
-    "mjx": EngineEntry(".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators", 0.98),
-    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores", 0.99),
+    "warp": EngineEntry(".physics.warp_engine:WarpEngine", "MuJoCo Warp on NVIDIA GPUs"),
+    "mjx": EngineEntry(".physics.mjx_engine:MjxEngine", "MuJoCo MJX on JAX accelerators"),
+    "native": EngineEntry(".physics.native:NativeEngine", "C MuJoCo on all CPU cores"),
 }
 """Engines by name; `physics.engine.open_engine` chooses one of them for `auto`."""
 

@@ -44,8 +44,6 @@ class SceneMeasure(Spec):
     max_tilt_deg: float
     drift_m: dict[str, float] = Field(default_factory=dict)
     tilt_deg: dict[str, float] = Field(default_factory=dict)
-    drop_m: dict[str, float] = Field(default_factory=dict)
-    """Largest descent of each movable object."""
     joint_slide_m: dict[str, float] = Field(default_factory=dict)
     """Largest displacement of each sliding joint "object-joint"."""
     joint_turn_deg: dict[str, float] = Field(default_factory=dict)
@@ -114,7 +112,7 @@ def measures_of(
     held = tuple(item.name for item in world.spec.objects if item.held)
     measures = []
     for k, status in enumerate(rested.status):
-        drift, drop = rested.drift[k, movable], rested.drop[k, movable]
+        drift = rested.drift[k, movable]
         tilt, joint = np.degrees(rested.tilt[k, movable]), rested.joint_motion[k]
         diverged = status != int(RolloutStatus.OK) or not np.isfinite(drift).all()
         before = pairs(rested.depths[k])
@@ -135,7 +133,6 @@ def measures_of(
                 max_tilt_deg=math.inf if diverged else float(tilt.max(initial=0.0)),
                 drift_m=by_name(names, drift),
                 tilt_deg=by_name(names, tilt),
-                drop_m=by_name(names, drop),
                 joint_slide_m=by_name(joints[slides], joint[slides]),
                 joint_turn_deg=by_name(joints[~slides], np.degrees(joint[~slides])),
                 duration_s=duration,

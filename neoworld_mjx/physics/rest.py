@@ -54,8 +54,6 @@ class Rested(NamedTuple):
     """Largest displacement in the free fall [m]."""
     tilt: Float[np.ndarray, "pop object"]
     """Largest rotation in the free fall [rad]."""
-    drop: Float[np.ndarray, "pop object"]
-    """Largest descent in the free fall [m]."""
     joint_motion: Float[np.ndarray, "pop joint"]
     """Largest motion of each of `StaticScene.joints` in the free fall [rad or m]."""
     depths: tuple[Depths, ...]
@@ -105,7 +103,7 @@ def rest(
     placed = start if placed is None else placed
     moved = np.asarray(settling_displacement(scene.static, placed, end, np))
     pop, objects = end.scale.shape
-    drift, tilt, drop = np.full((3, pop, objects), np.nan)
+    drift, tilt = np.full((2, pop, objects), np.nan)
     joint_motion = np.full((pop, len(scene.static.joints)), np.nan)
     status = np.full(pop, int(RolloutStatus.FAILED))
     depths: list[Depths] = [{} for _ in range(pop)]
@@ -121,7 +119,6 @@ def rest(
         pos, quat, shift = read_states(scene.static, end[chunk], qpos)
         away = pos - end.pos[chunk, None]
         drift[chunk] = np.linalg.norm(away, axis=-1).max(axis=1)
-        drop[chunk] = np.maximum(-away[..., 2], 0.0).max(axis=1)
         tilt[chunk] = angle_between(end.quat[chunk, None], quat).max(axis=1)
         joint_motion[chunk] = shift.max(axis=1)
         for row, k in enumerate(chunk):
@@ -129,9 +126,7 @@ def rest(
             depths[k] = _depths(scene, model, data, initial[row])
             if status[k] == int(RolloutStatus.OK):
                 end_depths[k] = _depths(scene, model, data, qpos[row, -1])
-    return Rested(
-        end, moved, drift, tilt, drop, joint_motion, tuple(depths), tuple(end_depths), status
-    )
+    return Rested(end, moved, drift, tilt, joint_motion, tuple(depths), tuple(end_depths), status)
 
 
 def _simulate(

@@ -99,7 +99,6 @@ def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(fabricated):
     assert found.drift_m == pytest.approx({"a": 0.03, "lamp": 1e-3, "cabinet": 1e-3})
     assert found.tilt_deg == pytest.approx({"a": 10.0, "lamp": 0.0, "cabinet": 0.0}, abs=1e-4)
     assert (found.max_drift_m, found.max_tilt_deg) == pytest.approx((0.03, 10.0))
-    assert found.drop_m == pytest.approx({"a": 0.02, "lamp": 0.0, "cabinet": 0.0}, abs=1e-12)
     assert found.joint_slide_m == pytest.approx({"cabinet-slide": 0.04})
     turned = {"lamp-neck": 20.0, "cabinet-hinge": 7.0, "cabinet-turn": 0.0}
     assert found.joint_turn_deg == pytest.approx(turned, abs=1e-4)

@@ -188,7 +188,7 @@ def test_candidates_fall_from_their_poses_side_by_side(three):
     ball = world.names.index("ball")
     assert rested.status.tolist() == [RolloutStatus.OK, RolloutStatus.OK, RolloutStatus.FAILED]
     assert rested.drift[0].max() < 1e-3
-    assert rested.drop[1, ball] == pytest.approx(0.3, abs=0.01)
+    assert rested.drift[1, ball] == pytest.approx(0.3, abs=0.01)
     assert np.delete(rested.drift[1], ball).max() < 1e-3
     assert np.isnan(rested.drift[2]).all() and rested.depths[2] == {}
     np.testing.assert_array_equal(rested.poses.pos, poses.pos)
