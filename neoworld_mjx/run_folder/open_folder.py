@@ -30,8 +30,6 @@ from .staging import (
     clear_unfinished,
     delete_files,
     disk_errors,
-    earlier_versions,
-    has_writer,
     keep_versions,
     later_writers,
     lock_folder,
@@ -40,6 +38,7 @@ from .staging import (
     replaced_files,
     set_aside,
     step_of,
+    versions,
     writes,
 )
 
@@ -335,11 +334,11 @@ class RunFolder:
         if entry is None:
             return []
         files = [*entry["outputs"]]
-        versions = earlier_versions(self.data["steps"], files)
         with disk_errors(self.path):
             for path in self._edited(entry):
-                if path in versions and step_of(versions[path][0]) in self._kept:
-                    self._make_current(path, *versions[path])
+                earlier = versions(self.data["steps"], path)
+                if earlier and step_of(earlier[-1][0]) in self._kept:
+                    self._make_current(path, *earlier[-1])
                     files.remove(path)
                 else:
                     aside = set_aside(self.path, path)
@@ -353,8 +352,10 @@ class RunFolder:
         """Put back the last earlier version of each file that no step has written since."""
         steps = self.data["steps"]
         with disk_errors(self.path):
-            for name, (writer, version) in earlier_versions(steps, names).items():
-                if not has_writer(steps, name) and (self.path / version).is_file():
+            for name in names:
+                found = versions(steps, name)
+                writer, version = found[-1] if found else ("", name)
+                if version != name and (self.path / version).is_file():
                     write_inside(self.path, name, (self.path / version).read_bytes())
                     self._make_current(name, writer, version)
 

@@ -219,22 +219,33 @@ def history_path(step: str, name: str) -> str:
     return (path.parent / "history" / step / path.name).as_posix()
 
 
+def versions(steps: Steps, name: str) -> list[tuple[str, str]]:
+    """Return the versions of a file, oldest first: the part of a step that wrote it, and its path.
+
+    The last version is the file itself, unless no step has written it since the earlier ones.
+    """
+    paths = [*(history_path(step, name) for step in STEPS), name]
+    return [
+        (part, path) for path in paths for part, entry in steps.items() if path in entry["outputs"]
+    ]
+
+
 def path_before(steps: Steps, step: str, name: str) -> str:
     """Return the path of the version of a file that the steps before `step` left."""
     earlier = STEPS[: [*STEPS].index(step)]
-    writer = _writer(steps, name)
-    if writer is None or step_of(writer) not in earlier:
-        for other in reversed(earlier):
-            if _writer(steps, history_path(other, name)) is not None:
-                return history_path(other, name)
-    return name
+    found = [path for part, path in versions(steps, name) if step_of(part) in earlier]
+    return found[-1] if found else name
 
 
 def later_writers(steps: Steps, part: str, names: Iterable[str]) -> set[str]:
     """Return the parts of later steps that replaced files that a part of a step writes again."""
     later = STEPS[[*STEPS].index(step_of(part)) + 1 :]
-    writers = {_writer(steps, name) for name in names}
-    return {writer for writer in writers if writer is not None and step_of(writer) in later}
+    return {
+        writer
+        for name in names
+        for writer, path in versions(steps, name)
+        if path == name and step_of(writer) in later
+    }
 
 
 def keep_versions(folder: Path, steps: Steps, part: str, names: Iterable[str]) -> bool:
@@ -244,25 +255,13 @@ def keep_versions(folder: Path, steps: Steps, part: str, names: Iterable[str]) -
     """
     kept = False
     for name in names:
-        writer = _writer(steps, name)
-        if writer is not None and writer != part:
-            version, outputs = history_path(step_of(writer), name), steps[writer]["outputs"]
-            write_inside(folder, version, (folder / name).read_bytes())
-            outputs[version] = outputs.pop(name)
-            kept = True
+        for writer, path in versions(steps, name):
+            if path == name and writer != part:
+                version, outputs = history_path(step_of(writer), name), steps[writer]["outputs"]
+                write_inside(folder, version, (folder / name).read_bytes())
+                outputs[version] = outputs.pop(name)
+                kept = True
     return kept
-
-
-def earlier_versions(steps: Steps, names: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Return the last earlier version of each file that has one: its writer and its path."""
-    found = {}
-    for name in names:
-        for step in STEPS:
-            version = history_path(step, name)
-            writer = _writer(steps, version)
-            if writer is not None:
-                found[name] = writer, version
-    return found
 
 
 def replaced_files(steps: Steps) -> set[str]:
@@ -273,13 +272,3 @@ def replaced_files(steps: Steps) -> set[str]:
             if version.parent.parent.name == "history":
                 names.add((version.parents[2] / version.name).as_posix())
     return names
-
-
-def has_writer(steps: Steps, name: str) -> bool:
-    """Return True if the outputs of a step contain a file."""
-    return _writer(steps, name) is not None
-
-
-def _writer(steps: Steps, name: str) -> str | None:
-    """Return the part of a step whose outputs contain a file."""
-    return next((part for part, entry in steps.items() if name in entry["outputs"]), None)
