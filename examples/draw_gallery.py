@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps, ImageSequence
+from PIL import Image, ImageChops, ImageOps, ImageSequence
 
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.program.views import open_state
@@ -71,7 +71,7 @@ def first_look(run: Path) -> list[Image.Image]:
 
 def differs(one: Image.Image, other: Image.Image) -> bool:
     """Return whether two frames of a video show different moments."""
-    change = np.abs(np.subtract(one, other, dtype=np.int16)).max(axis=-1)
+    change = np.asarray(ImageChops.difference(one, other)).max(axis=-1)
     return float((change > CHANGED).mean()) > 0.004
 
 
