@@ -35,7 +35,7 @@ class TrainCommand(Command):
     steps: int = 20_000_000
     """Control steps of all worlds."""
     minutes: float | None = None
-    """Largest duration, without compiling."""
+    """Largest duration, without drawing scenes and compiling; with --resume, in all."""
     worlds: int | None = None
     """Number of worlds. Default: 2048 on warp, 64 on native."""
     samples: int = 64
@@ -63,10 +63,10 @@ class TrainCommand(Command):
         from dataclasses import replace
 
         from ..environments.own_reward import read_reward
+        from ..environments.policy import POLICY
         from ..environments.robots import Mount
         from ..environments.training import (
             CURVE,
-            POLICY,
             Training,
             default_options,
             propose_setting,
@@ -112,13 +112,16 @@ class TrainCommand(Command):
             "policy": str(out / POLICY),
             "steps": policy.about.steps,
             "engine": engine,
+            "mount": policy.about.setting.mount,
             "last": json.loads(last),
         }
 
     def lines(self, result: CommandResult) -> list[str]:
         """Return the steps and the file."""
-        last = result["last"]
+        last, mount = result["last"], result["mount"]
+        stands = "the base of the robot stands at {:.2f} {:.2f} {:.2f}, turned by {:.2f} rad"
         return [
+            *([] if mount is None else [stands.format(*mount.pos, mount.yaw)]),
             f"trained for {result['steps']:,} control steps on {result['engine']}; of "
             f"{last['episodes']:,.0f} episodes that ended last, {last['success']:.0%} succeeded",
             f"wrote {result['policy']}",

@@ -65,7 +65,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self.metadata = {**type(self).metadata, "render_fps": round(1 / control_s)}
         self._task = task
         reward = task.reward if reward is None and task is not None else reward
-        self._reward = None if reward is None else with_four_arguments(reward)
+        self._reward = None if reward is None else with_four_arguments(reward, controlled)
         self._noisy, self._variants, self._picture = noise != ResetNoise(), variants, picture
         if self._noisy and variants is not None:
             raise SpecError("an environment takes samples or noise, not both")

@@ -73,7 +73,9 @@ class MjxEnv:
         if reward is not None:
             state = scene_state(controlled.initial_data())
             obs = controlled.observe(state)
-            self._reward = traced_reward(reward, obs, controlled.hold_action, state, state)
+            self._reward = traced_reward(
+                reward, controlled, obs, controlled.hold_action, state, state
+            )
         self._noise, self._variants = noise or ResetNoise(), variants
         if variants is not None and self._noise != ResetNoise():
             raise SpecError("an environment takes samples or noise, not both")

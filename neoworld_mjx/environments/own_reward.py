@@ -3,20 +3,27 @@
 import importlib.util
 import inspect
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from ..errors import SpecError
+from ..errors import SpecError, choices
+from .controlled_scene import ControlledScene
 
 Reward = Callable[..., Any]
 """Function of the observation, or of (obs, action, data, previous): the observations by name, the
-action, and the `SceneState` after and before it. It returns one number."""
+action, and the `SceneState` after and before it. It returns one number. A function with a parameter
+`controlled` is also given the `ControlledScene`, which has the names of joints and handles."""
 
 
-def with_four_arguments(reward: Reward) -> Reward:
+def with_four_arguments(reward: Reward, controlled: ControlledScene) -> Reward:
     """Return a reward of (obs, action, data, previous); the given one may take only the first.
+
+    Args:
+        reward: the function.
+        controlled: the scene that it gets if it has a parameter of this name.
 
     Raises:
         SpecError: the function takes neither one nor four arguments.
@@ -25,6 +32,9 @@ def with_four_arguments(reward: Reward) -> Reward:
         signature = inspect.signature(reward)
     except (TypeError, ValueError):  # a built-in function
         return lambda obs, action, data, previous: reward(obs)
+    if "controlled" in signature.parameters:
+        reward = partial(reward, controlled=controlled)
+        signature = inspect.signature(reward)
     for count in (4, 1):
         try:
             signature.bind(*range(count))
@@ -36,19 +46,25 @@ def with_four_arguments(reward: Reward) -> Reward:
     )
 
 
-def traced_reward(reward: Reward, *arguments: Any) -> Reward:
+def traced_reward(reward: Reward, controlled: ControlledScene, *arguments: Any) -> Reward:
     """Return a reward of four arguments that JAX can trace.
 
     Args:
         reward: the function.
+        controlled: as for `with_four_arguments`.
         arguments: example arguments (obs, action, data, previous).
 
     Raises:
         SpecError: JAX cannot trace the function, or it does not return one number.
     """
-    four = with_four_arguments(reward)
+    four = with_four_arguments(reward, controlled)
     try:
         shape = jax.eval_shape(four, *arguments).shape
+    except KeyError as error:
+        names = choices(str(error.args[0] if error.args else ""), arguments[0])
+        raise SpecError(f"reward {reward_name(reward)}: names of observations: {names}") from None
+    except SpecError as error:
+        raise SpecError(f"reward {reward_name(reward)}: {error}") from None
     except Exception as error:  # The function of a user may raise anything.
         first = str(error).strip().splitlines()[0] if str(error).strip() else ""
         raise SpecError(

@@ -19,6 +19,8 @@ from ..io.files import write_output
 from .networks import Actor, Layer, Normalizer, mlp
 from .robots import Mount
 
+POLICY = "policy.npz"
+"""Name of the policy in the folder of a training."""
 ACTION_S = 0.04
 """Duration of an action [s]."""
 MAX_LAYERS, MAX_WIDTH = 16, 8192
@@ -97,12 +99,14 @@ class Policy:
 
 
 def read_policy(path: Path | str) -> Policy:
-    """Read a policy file, which may come from a stranger.
+    """Read a policy file, or that of the folder of a training; either may come from a stranger.
 
     Raises:
         SpecError: the file cannot be read, is too large, or is no policy.
     """
-    arrays = read_arrays(Path(path), SpecError)
+    path = Path(path)
+    path = path / POLICY if path.is_dir() else path
+    arrays = read_arrays(path, SpecError)
     try:
         text = arrays.pop("about")
         about = About.model_validate_json(str(text.reshape(())))
@@ -117,7 +121,7 @@ def read_policy(path: Path | str) -> Policy:
     except (KeyError, ValueError) as error:
         first = str(error).splitlines()[0]
         raise SpecError(f"{path}: it is not a policy file: {first}") from None
-    _check(Path(path), actor, normalizer)
+    _check(path, actor, normalizer)
     return Policy(about, actor, normalizer, rest)
 
 

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..errors import SpecError
+from ..errors import SpecError, choices
 from ..mllm import Panel, Request
 from ..spec import SceneSpec
 from .flying_gripper import handles
@@ -218,7 +218,7 @@ def _named(text: str, spoken: str, known: dict[str, str], kind: str) -> str:
     if len(fits) == 1:
         return fits[0]
     problem = f"it fits several {kind}s" if fits else f"it names no {kind} of the scene"
-    raise SpecError(f"task {text!r}: {problem}; valid are: {', '.join(fits or known) or 'none'}")
+    raise SpecError(f"task {text!r}: {problem}: {choices(spoken.strip(), fits or known)}")
 
 
 def gripper_of(task: Task) -> str:

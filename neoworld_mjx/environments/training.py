@@ -23,7 +23,7 @@ from ..spec import SceneSpec, read_scene
 from . import ppo
 from .mjx_environment import MjxEnv, open_scene
 from .own_reward import Reward, reward_name
-from .policy import ACTION_S, About, Policy, Setting, read_policy
+from .policy import ACTION_S, POLICY, About, Policy, Setting, read_policy
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, scene_variants
 from .reach import propose_mount
@@ -37,7 +37,7 @@ TIMESTEP_S = 0.004
 """Time step of physics in training. Evaluation halves it."""
 WRITE_S, REPORT_S = 60.0, 10.0
 """Intervals of writing the policy and of reporting progress [s]."""
-POLICY, CURVE, PICTURE = "policy.npz", "curve.jsonl", "curve.png"
+CURVE, PICTURE = "curve.jsonl", "curve.png"
 WORLDS = {"native": 64, "warp": 2048, "mjx": 256}
 """Default number of worlds by engine."""
 

@@ -212,6 +212,11 @@ def read_scene(path: Path) -> SceneSpec:
     file = path / "scene.json" if path.is_dir() else path
     if not path.exists():
         raise SpecError(f"cannot read {path}: no such file or folder")
+    if (path / "run.json").is_file() and not file.exists():
+        raise SpecError(
+            f"{path} is a run folder without a scene: its run stopped before the step refine; "
+            "continue it with neoworld reconstruct --resume"
+        )
     if path.is_dir() and not file.exists():
         raise SpecError(f"{path} is no run folder with a scene: it contains no scene.json")
     if file.suffix != ".json":

@@ -239,6 +239,9 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
         "    return 7.0 + 0 * jnp.sum(data.qpos - previous.qpos) + 0 * action[0]\n"
         "def eager(obs):\n    return float(obs['joints'][0])\n"
         "def many(obs):\n    return obs['joints'][:, None]\n"
+        "def absent(obs):\n    return obs['joint'][0]\n"
+        "def near(obs, action, data, previous, controlled):\n"
+        "    return controlled.site(data, 'chest-drawer_handl', jnp)[0][0]\n"
     )
     small = ["--task", TASK, "--steps", 256, "--worlds", 8, "--samples", 0, "--engine", "native"]
     ended = neoworld("train", folder, *small, "--reward", f"{file}:still", "--json")
@@ -251,7 +254,9 @@ def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):
     for name, message in {
         f"{file}:eager": "reward eager: JAX cannot trace it (ConcretizationTypeError",
         f"{file}:many": "reward many: returns shape (1, 1), not one number",
-        f"{file}:missing": "has no function missing; it has: still, eager, many",
+        f"{file}:absent": "reward absent: names of observations: got 'joint', valid are: poses",
+        f"{file}:near": "did you mean 'chest-drawer_handle'?",
+        f"{file}:missing": "has no function missing; it has: still, eager, many, absent, near",
         f"{tmp_path / 'none.py'}:f": "there is no file",
         "package.module:f": "is not of the form FILE.py:function",
     }.items():
