@@ -94,6 +94,8 @@ def test_the_environment_moves_with_the_middle_of_the_objects():
 def test_an_object_keeps_its_distance_if_the_height_is_unknown(change):
     """In proportion to the focal length, so that it keeps its size, too."""
     table, cup, *_ = tree().nodes
+    raised = cup.box3d.model_copy(update={"position": (0.9, 0.1, 0.15)})
+    cup = cup.model_copy(update={"box3d": raised})
     single = tree().model_copy(update={"nodes": (table, cup)})
     after = with_known_camera(single, KnownCamera(size=(640, 480), **change))
     box = after.node("cup").box3d
