@@ -42,6 +42,7 @@ def test_hulls_contain_their_pieces_and_the_rest_stays():
     hulls = [g for g in body.geoms if g.role == "collision"]
     assert len(hulls) == 8 and {g.material for g in hulls} == {"wood"}
     assert not [g for g in body.geoms if g.role == "both"]
+    assert len({g.name for g in body.geoms}) == len(body.geoms)
     # The same surface is seen, without the box that only collides.
     for one, other in zip(visible_surface(exact, {}), visible_surface(spec, {}), strict=True):
         np.testing.assert_array_equal(one, other)
