@@ -17,7 +17,7 @@ from neoworld_mjx.spec import (
     Sphere,
 )
 from neoworld_mjx.spec.convex import Piece, polytope
-from neoworld_mjx.spec.pose import from_axis_angle, pose
+from neoworld_mjx.spec.pose import from_axis_angle, matrix, pose
 from tests.support.mechanisms import WOOD, geom, part, single
 
 TURNED = from_axis_angle((0.3, -0.5, 0.8), 1.1)
@@ -133,6 +133,36 @@ def test_a_tilted_box_stands_on_its_lowest_edge():
     scene, item = pair(Box(size=(0.6, 0.6, 0.2)), Box(size=(0.1, 0.1, 0.06)), base_tilt=tilt)
     below = 0.05 * np.sin(angle) + 0.03 * np.cos(angle)
     assert height(scene, item) == pytest.approx(0.1 + below, abs=1e-5)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 1.4])
+def test_a_tilted_ellipsoid_touches_by_its_support_function(angle):
+    radii = np.array((0.05, 0.02, 0.03))
+    axis = np.array((1.0, 2.0, 0.0)) / np.sqrt(5)
+    tilt = from_axis_angle(axis, angle)
+    scene, item = pair(
+        Box(size=(0.6, 0.6, 0.2)), Ellipsoid(radii=tuple(radii)), base_tilt=tuple(tilt.tolist())
+    )
+    below = np.linalg.norm(radii * matrix(tilt)[2])
+    assert height(scene, item) == pytest.approx(0.1 + below, abs=1e-5)
+
+
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.6, -0.8, 0.0)])
+@pytest.mark.parametrize(("xy", "yaw"), [((0.0, 0.0), 0.0), ((0.031, -0.047), 0.4)])
+def test_an_object_on_a_slope_touches_it_with_its_highest_corner(axis, xy, yaw):
+    """Heights between grid points are exact on a plane."""
+    tilt = from_axis_angle(axis, 0.3)
+    board = geom("board", Box(size=(0.6, 0.6, 0.02)), quat=tuple(tilt.tolist()))
+    spec = ObjectSpec(name="parent", materials=(WOOD,), parts=(part("body", board),))
+    scene, item = pair(Box(size=(1, 1, 1)), Box(size=(0.06, 0.04, 0.02)), xy=xy)
+    parent = scene.objects[0].model_copy(update={"spec": spec})
+    scene = scene.model_copy(update={"objects": (parent, item)})
+    normal = matrix(tilt)[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    corners = np.array([(0.03, 0.02), (0.03, -0.02), (-0.03, 0.02), (-0.03, -0.02)])
+    corners = corners @ np.array([[c, s], [-s, c]]) + xy
+    top = (0.01 - corners @ normal[:2]) / normal[2]
+    assert height(scene, item, yaw=yaw) == pytest.approx(top.max() + 0.01, abs=1e-5)
 
 
 def test_beside_its_support_an_object_has_no_height():
