@@ -201,3 +201,38 @@ def test_an_object_stands_on_the_board_of_a_shelf_on_which_it_fits(z, tall, rela
     item = SceneObject(name="child", spec=spec, parent="parent", z=z, relation=relation)
     scene = SceneSpec(objects=(shelf(), item))
     assert height(scene, item) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_board_above_an_object_is_that_at_its_place():
+    """The upper board is over one half of the lower one."""
+    board, half = Box(size=(0.3, 0.5, 0.02)), Box(size=(0.3, 0.25, 0.02))
+    geoms = geom("lower", board), geom("upper", half, (0, -0.125, 0.3))
+    spec = ObjectSpec(name="parent", materials=(WOOD,), parts=(part("body", *geoms),))
+    parent = SceneObject(name="parent", spec=spec, environment=True)
+    cube = single("child", Box(size=(0.06, 0.06, 0.1)), 0.05)
+    for y, expected in ((-0.12, 0.31), (0.12, 0.01)):
+        item = SceneObject(name="child", spec=cube, parent="parent", z=0.25, xy=(0.02, y))
+        scene = SceneSpec(objects=(parent, item))
+        assert height(scene, item) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(("degrees", "on_floor"), [(25.0, True), (4.0, False)])
+def test_an_object_that_leans_in_its_parent_stands_on_its_lowest_edge(degrees, on_floor):
+    """A wall under its higher part does not lift it, unless it is upright."""
+    angle = np.radians(degrees)
+    floor, wall = Box(size=(0.4, 0.4, 0.02)), Box(size=(0.02, 0.4, 0.1))
+    geoms = geom("floor", floor), geom("wall", wall, (0.03 + 0.01, 0, 0.06))
+    spec = ObjectSpec(name="parent", materials=(WOOD,), parts=(part("body", *geoms),))
+    parent = SceneObject(name="parent", spec=spec, environment=True)
+    tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), angle).tolist())
+    board = single("child", Box(size=(0.01, 0.06, 0.3)))
+    lowest = 0.15 * np.cos(angle) + 0.005 * np.sin(angle)
+    # Its lowest edge is 2 cm before the wall.
+    x = 0.01 + 0.15 * np.sin(angle) - 0.005 * np.cos(angle)
+    x = x if on_floor else 0.04
+    item = SceneObject(
+        name="child", spec=board, parent="parent", relation="in", base_tilt=tilt,
+        xy=(x, 0.0), z=0.012 + lowest,
+    )  # fmt: skip
+    found = height(SceneSpec(objects=(parent, item)), item)
+    assert found == pytest.approx(lowest + (0.01 if on_floor else 0.11), abs=2e-3)
