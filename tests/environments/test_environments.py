@@ -57,6 +57,11 @@ def test_noise_is_seeded_and_moves_only_movable_objects(scene):
     assert all(0.0 <= start["joints"][0] <= 0.2 for start in starts)
     moved = np.abs(starts[2]["poses"][1, :2] - starts[0]["poses"][1, :2]).max()
     assert moved < 0.2
+    exact, unstated = (
+        nw.gym_env(scene, noise=noise).reset(seed=1)[0] for noise in (None, nw.ResetNoise())
+    )
+    for name, values in exact.items():
+        np.testing.assert_array_equal(unstated[name], values)
 
 
 def test_resets_within_what_the_photograph_leaves_open(scene):

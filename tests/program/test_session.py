@@ -78,6 +78,7 @@ def test_a_wrong_argument_is_named_with_its_value(check, arguments, message):
         (validate.lengths, ([1, 2, 3], "a"), (1, 2, 3)),
         (validate.integer, (1, "a", 1, 3), 1),
         (validate.integer, (3, "a", 1, 3), 3),
+        (validate.name, ("Lid_2", "a"), "Lid_2"),
         (validate.text, ("a" * 200, "a"), "a" * 200),
         (validate.colour, ((0, 1, 0.5), "a"), (0, 1, 0.5)),
     ],
