@@ -82,32 +82,36 @@ EDGE_SD = math.radians(0.4)
 """Standard deviation of the angle of a vertical edge."""
 
 
-def edges_of_posts():
+def edges_of_posts(camera=CAMERA, places=POSTS):
     """Return the ends of both edges of each post, bottom first [px], shape [edge, 2, 2]."""
-    ends = [[(x, y + side, z) for z in (0.0, 0.45)] for x, y in POSTS for side in (-0.03, 0.03)]
-    return CAMERA.project(ends)[0]
+    ends = [[(x, y + side, z) for z in (0.0, 0.45)] for x, y in places for side in (-0.03, 0.03)]
+    return camera.project(ends)[0]
 
 
 @pytest.fixture(scope="module")
 def posts():
     """A photograph of five posts, each 6 cm wide."""
+    return photograph_of_posts(edges_of_posts())
+
+
+def photograph_of_posts(edges):
     finer = 4
     image = Image.new("RGB", (finer * CAMERA.width, finer * CAMERA.height_px), (90, 90, 90))
     draw = ImageDraw.Draw(image)
-    for left, right in edges_of_posts().reshape(-1, 2, 2, 2):
+    for left, right in edges.reshape(-1, 2, 2, 2):
         draw.polygon([tuple(finer * p) for p in (*left, *right[::-1])], fill=(200, 60, 50))
     return np.asarray(image.resize((CAMERA.width, CAMERA.height_px), Image.Resampling.BOX))
 
 
-def stated(pitch_deg, roll_deg):
+def stated(pitch_deg, roll_deg, camera=CAMERA):
     """Return a camera whose pitch and roll are off by some degrees."""
     off = {"pitch": math.radians(pitch_deg), "roll": math.radians(roll_deg)}
-    return CAMERA.model_copy(update={name: getattr(CAMERA, name) + v for name, v in off.items()})
+    return camera.model_copy(update={name: getattr(camera, name) + v for name, v in off.items()})
 
 
-def residuals(camera):
+def residuals(camera, edges=None):
     """Return the angles between the edges and the vertical lines that a camera sees there."""
-    bottom, top = np.moveaxis(edges_of_posts(), 1, 0)
+    bottom, top = np.moveaxis(edges_of_posts() if edges is None else edges, 1, 0)
     middle, edge = (bottom + top) / 2, bottom - top
     below = camera.position() + camera.rays(middle) - [0.0, 0.0, 1e-6]
     expected = camera.project(below)[0] - middle
@@ -140,6 +144,19 @@ def test_the_significance_is_that_of_the_edges_residuals(posts, off):
     assert found is not None
     chi = float(np.linalg.norm(residuals(stated(*off)) / EDGE_SD))
     assert found.sigma == pytest.approx(chi, rel=0.1, abs=0.3)
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.3), (0.5, 0.0), (-0.5, 0.0)])
+def test_the_significance_counts_edges_that_lean_in_the_picture(off):
+    """Seen from above at a wide angle, posts lean by 28 to 36 degrees."""
+    view = {"pitch": math.radians(50.0), "fovy": math.radians(75.0), "roll": 0.0, "height": 1.2}
+    camera = CAMERA.model_copy(update=view)
+    edges = edges_of_posts(camera, ((0.5, 0.45), (0.5, -0.45), (0.8, 0.6), (0.8, -0.6)))
+    wrong = stated(*off, camera)
+    found = vertical_edges(photograph_of_posts(edges), wrong, [])
+    assert found is not None
+    chi = float(np.linalg.norm(residuals(wrong, edges) / EDGE_SD))
+    assert found.sigma == pytest.approx(chi, rel=0.1)
 
 
 def test_a_larger_photograph_is_reduced_to_its_whole_blocks(posts):
