@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps, ImageSequence
+from PIL import Image, ImageChops, ImageOps, ImageSequence
 
 from neoworld_mjx.pipeline.bundled_examples import bundled_examples
 from neoworld_mjx.program.views import open_state
@@ -24,8 +24,10 @@ from neoworld_mjx.render import render_scene
 from neoworld_mjx.spec import SceneSpec, read_scene
 
 HEIGHT, GAP = 300, 8
-STILL_MS, FRAME_MS = 1400, 80
+STILL_MS, FRAME_MS = 1400, 200
 """Durations of the still pictures and of the frames of the video in story.webp [ms]."""
+CHANGED = 40
+"""Least difference of a pixel that moved, of 255."""
 REPORT = (820, 1400)
 """Size of the shown part of the report [px]."""
 
@@ -67,10 +69,17 @@ def first_look(run: Path) -> list[Image.Image]:
     return [photo, aligned, rendered(read_scene(run))]
 
 
+def differs(one: Image.Image, other: Image.Image) -> bool:
+    """Return whether two frames of a video show different moments."""
+    change = np.asarray(ImageChops.difference(one, other)).max(axis=-1)
+    return float((change > CHANGED).mean()) > 0.004
+
+
 def story(run: Path, video: Path, file: Path) -> None:
-    """Write a moving picture of a run's first look, followed by a video."""
+    """Write a moving picture of a run's first look, followed by a video without its still end."""
     with Image.open(video) as film:
         frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(film)]
+    frames = frames[: 2 + max(k for k, each in enumerate(frames) if differs(each, frames[-1]))]
     stills = [ImageOps.fit(each, frames[0].size) for each in first_look(run)]
     durations = [STILL_MS] * len(stills) + [FRAME_MS] * (len(frames) - 1) + [STILL_MS]
     first, *others = stills + frames

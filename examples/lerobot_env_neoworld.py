@@ -31,7 +31,7 @@ class NeoworldEnv(EnvConfig):
 
     def make(self):
         """Return one."""
-        env = gym.make(ID, control_s=1 / FPS, noise=nw.ResetNoise(photo=0.5), **self.gym_kwargs)
+        env = gym.make(ID, control_s=1 / FPS, samples=16, **self.gym_kwargs)
         space = env.observation_space
         flat = lambda obs: {"agent_pos": flatten(space, obs).astype(np.float32)}
         return gym.wrappers.TransformObservation(env, flat, Dict(agent_pos=flatten_space(space)))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EngineError, SpecError, choices
-from ..estimate.unknowns import Unknowns
 from ..render.scene_images import scene_view
 from ..spec import SceneSpec
 from . import cameras
@@ -20,8 +19,7 @@ from .arm import copied, scene_state
 from .controlled_scene import ControlledScene, SceneOptions
 from .mjx_environment import EnvState, mjx_env, open_scene
 from .own_reward import Reward, with_four_arguments
-from .randomization import ResetNoise, draw_start
-from .samples import moved_camera
+from .randomization import ResetNoise, Variants, draw_start, scene_variants
 from .task import SceneTask, Task
 
 try:
@@ -55,6 +53,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         reward: Reward | None,
         task: SceneTask | None,
         noise: ResetNoise,
+        variants: Variants | None,
         picture: tuple[int, int] | None,
         control_s: float,
         horizon: int,
@@ -67,7 +66,9 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         self._task = task
         reward = task.reward if reward is None and task is not None else reward
         self._reward = None if reward is None else with_four_arguments(reward)
-        self._noisy, self._picture = noise != ResetNoise(), picture
+        self._noisy, self._variants, self._picture = noise != ResetNoise(), variants, picture
+        if self._noisy and variants is not None:
+            raise SpecError("an environment takes samples or noise, not both")
         self._draw = jax.jit(lambda key: draw_start(controlled, key, noise))
         self._substeps = max(round(control_s / self.model.opt.timestep), 1)
         self._horizon, self._steps = horizon, 0
@@ -81,16 +82,16 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
         """Start an episode; the same seed gives the same initial state."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
-        key = jax.random.key(int(self.np_random.integers(2**31)))
-        qpos = self.controlled.initial_qpos
+        qpos, ctrl = self.controlled.initial_qpos, self.controlled.initial_ctrl
         if self._noisy:
-            qpos, fields, moved = self._draw(key)
-            for name, values in fields.items():
-                getattr(self.model, name)[:] = values
-            if np.any(moved) and (camera := self.controlled.scene.spec.camera) is not None:
-                unknowns = Unknowns.of(self.controlled.scene.spec, camera)
-                self._camera = moved_camera(unknowns, np.asarray(moved))
-        self.data.qpos[:], self.data.ctrl[:] = qpos, self.controlled.initial_ctrl
+            qpos = self._draw(jax.random.key(int(self.np_random.integers(2**31))))
+        if self._variants is not None:
+            row = int(self.np_random.integers(len(self._variants)))
+            qpos, ctrl = self._variants.qpos[row], self._variants.ctrl[row]
+            self._camera = self._variants.cameras[row]
+            for name, values in self._variants.fields.items():
+                getattr(self.model, name)[:] = values[row]
+        self.data.qpos[:], self.data.ctrl[:] = qpos, ctrl
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}
@@ -157,7 +158,7 @@ class SceneVectorEnv(VectorEnv[Observation, NDArray, NDArray]):
                 or 500.
             render_mode: None; batches have no pictures.
             engine: native, which uses all cores, warp or mjx.
-            options: task, without, reward, noise, variants, control_s, and the scene's, as in
+            options: task, without, reward, noise, samples, control_s, and the scene's, as in
                 `mjx_env`. JAX traces the reward.
 
         Raises:
@@ -242,6 +243,7 @@ def gym_env(
     without: Sequence[str] = (),
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
+    samples: int = 0,
     picture: tuple[int, int] | None = None,
     control_s: float = 0.02,
     horizon: int | None = None,
@@ -260,6 +262,8 @@ def gym_env(
         reward: function of the observation, or of (obs, action, data, previous), see
             `own_reward.Reward`; if None, the reward is that of the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
+        samples: number of draws that the photograph allows, of which each reset takes one with its
+            camera, instead of noise; see `sample`.
         picture: height and width of the images in observations [px]; rendering an image takes about
             a second. If None, observations contain no image.
         control_s: duration of each action [s].
@@ -272,7 +276,7 @@ def gym_env(
 
     Raises:
         SpecError: there is no scene, the handle or the robot does not exist, there is nothing to
-            actuate, or the robot reaches the task from nowhere.
+            actuate, the robot reaches the task from nowhere, or no draw is kept.
         EngineError: gymnasium is not installed.
     """
     if render_mode not in (None, "rgb_array"):
@@ -285,6 +289,7 @@ def gym_env(
         reward=reward,
         task=in_scene,
         noise=noise or ResetNoise(),
+        variants=scene_variants(controlled, samples, seed=0),
         picture=picture,
         control_s=control_s,
         horizon=horizon or _horizon(in_scene),

@@ -22,7 +22,7 @@ from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene, SceneOptions, controlled_scene
 from .engines import NativeSteps, StepEngine, initial_world
 from .own_reward import Reward, traced_reward
-from .randomization import ResetNoise, Variants, draw_start
+from .randomization import ResetNoise, Variants, draw_start, scene_variants
 from .reach import propose_mount
 from .simplified_scene import scene_without
 from .task import SceneTask, Task
@@ -48,10 +48,9 @@ class EnvState(eqx.Module):
     metrics: dict[str, Array]
     """`success` (0 or 1) and `progress` (0 to 1) of the task, if there is one."""
     info: dict[str, Array]
-    """`step`: number of steps since the last reset; `sample`: row of the variants; `body_pos` and
-    `body_quat`, with `ResetNoise.photo`: poses of bodies in their parents; of a policy, `delay`:
-    control steps after which an action acts, and `recent`: the latest actions, the last one first,
-    shape [largest delay, action]."""
+    """`step`: number of steps since the last reset; `sample`: row of the variants; of a policy,
+    `delay`: control steps after which an action acts, and `recent`: the latest actions, the last
+    one first, shape [largest delay, action]."""
 
 
 class MjxEnv:
@@ -99,8 +98,8 @@ class MjxEnv:
         """
         if self._variants is not None:
             return self.reset_to(jax.random.randint(key, (), 0, len(self._variants)))
-        start = draw_start(self.controlled, key, self._noise)
-        return self._start(start.qpos, self.controlled.initial_ctrl, start.fields)
+        qpos = draw_start(self.controlled, key, self._noise)
+        return self._start(qpos, self.controlled.initial_ctrl, {})
 
     def reset_to(self, row: Array) -> EnvState:
         """Start an episode in one of the variants. JAX can trace this method."""
@@ -127,10 +126,9 @@ class MjxEnv:
 
     def _fields(self, info: dict[str, Array]) -> dict[str, Array]:
         """Return the model fields in which this episode differs."""
-        if self._variants is not None:
-            row = info["sample"]
-            return {k: jnp.asarray(v)[row] for k, v in self._variants.fields.items()}
-        return {name: info[name] for name in ("body_pos", "body_quat") if name in info}
+        if self._variants is None:
+            return {}
+        return {k: jnp.asarray(v)[info["sample"]] for k, v in self._variants.fields.items()}
 
     def _state(
         self, world: SceneState, previous: SceneState, action: Array, info: dict[str, Array]
@@ -202,7 +200,7 @@ def mjx_env(
     without: Sequence[str] = (),
     reward: Reward | None = None,
     noise: ResetNoise | None = None,
-    variants: Variants | None = None,
+    samples: int = 0,
     control_s: float = 0.02,
     engine: str | None = None,
     worlds: int = WORLDS,
@@ -218,7 +216,8 @@ def mjx_env(
         reward: function that JAX can trace, see `own_reward.Reward`; if None, the reward is that of
             the task, or 0.
         noise: noise that each reset adds to the scene; if None, no noise.
-        variants: scenes of which each reset takes one, instead of noise; see `variants_of`.
+        samples: number of draws that the photograph allows, of which each reset takes one, instead
+            of noise; see `sample`.
         control_s: duration of each action [s].
         engine: native (C MuJoCo in threads), warp (MuJoCo Warp on NVIDIA GPUs) or mjx; if None, the
             fastest of the machine.
@@ -227,7 +226,8 @@ def mjx_env(
             `controlled_scene`. Without a mount, the robot stands where it reaches the task.
 
     Raises:
-        SpecError: there is no scene, the handle does not exist, or there is nothing to actuate.
+        SpecError: there is no scene, the handle does not exist, there is nothing to actuate, or no
+            draw is kept.
         EngineError: the engine cannot run here, or cannot simulate the scene.
     """
     name = engine or open_engine().name
@@ -239,7 +239,7 @@ def mjx_env(
         task=in_scene,
         reward=reward,
         noise=noise,
-        variants=variants,
+        variants=scene_variants(controlled, samples, seed=0),
         engine=name,
         worlds=worlds,
         control_s=control_s,

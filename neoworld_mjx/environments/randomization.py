@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +12,9 @@ from jaxtyping import Array, Float
 from ..errors import SpecError
 from ..physics.layout import Layout
 from ..physics.model_fields import model_fields
-from ..physics.posterior import pose_factor
-from ..spec.correlation import EACH
+from ..spec import Camera
 from .controlled_scene import ControlledScene
-from .samples import SceneSamples
+from .samples import SceneSamples, sample
 
 
 @dataclass(frozen=True)
@@ -30,29 +28,10 @@ class ResetNoise:
     joints: float = 0.0
     """Standard deviation of each joint position, as a fraction of the joint's range (of a full turn
     for a joint without limits)."""
-    photo: float = 0.0
-    """Factor of additional noise of the position and yaw of each aligned object, fixed objects
-    included. At 1, the noise has the standard deviations and correlations that the photograph
-    leaves, as the draws of `neoworld_mjx.sample`. A round object is not turned, because every
-    heading looks the same. Sizes do not vary."""
-    camera: float = 0.0
-    """Factor of the noise of the camera in pictures, at 1 as the photograph leaves it. It is drawn
-    together with `photo`, so both at 1 have the correlations of the estimate."""
 
 
-class Start(NamedTuple):
-    """Initial state of an episode."""
-
-    qpos: Float[Array, " nq"]
-    fields: dict[str, Array]
-    """Model fields in which the episode differs: of fixed objects that move, the position and
-    orientation of each body in its parent body."""
-    camera: Float[Array, " 4"]
-    """Change of the camera of pictures; see `posterior.Draws.camera`."""
-
-
-def draw_start(controlled: ControlledScene, key: Array, noise: ResetNoise) -> Start:
-    """Draw the initial state of an episode. JAX can trace this function.
+def draw_start(controlled: ControlledScene, key: Array, noise: ResetNoise) -> Float[Array, " nq"]:
+    """Draw the initial qpos of an episode. JAX can trace this function.
 
     Each object moves in the frame of its parent, together with the objects on it, and is placed at
     the height of its support. Joint positions are clipped to the joints' ranges.
@@ -60,26 +39,12 @@ def draw_start(controlled: ControlledScene, key: Array, noise: ResetNoise) -> St
     qpos = jnp.asarray(controlled.initial_qpos, jnp.float32)
     keys = jax.random.split(key, 4)
     count, scene, model = len(controlled.names), controlled.scene, controlled.model
-    fields, camera = dict[str, Array](), jnp.zeros(EACH)
-    if noise.xy or noise.yaw or noise.photo or noise.camera:
-        own = noise.xy * jax.random.normal(keys[0], (1, count, 2)) * scene.movable[:, None]
-        turn = noise.yaw * jax.random.normal(keys[1], (1, count)) * scene.movable
-        factor = jnp.asarray(pose_factor(scene.spec), jnp.float32)
-        values = factor @ jax.random.normal(keys[3], (factor.shape[1],))
-        camera = noise.camera * values[:EACH]
-        drawn = noise.photo * values[EACH:].reshape(1, count, EACH)
-        drawn = drawn * scene.optimised[:, None]
-        layout = Layout(own + drawn[..., :2], turn + drawn[..., 2], jnp.zeros((1, count)))
-        placed = scene.place(layout)
+    if noise.xy or noise.yaw:
+        xy = noise.xy * jax.random.normal(keys[0], (1, count, 2)) * scene.movable[:, None]
+        yaw = noise.yaw * jax.random.normal(keys[1], (1, count)) * scene.movable
+        placed = scene.place(Layout(xy, yaw, jnp.zeros((1, count))))
         scene_qpos = model_fields(scene, placed)["qpos"][0]
         qpos = qpos.at[: scene_qpos.shape[0]].set(scene_qpos)
-        movable, optimised = (np.asarray(x) for x in (scene.movable, scene.optimised))
-        fixed = np.flatnonzero(optimised & ~movable)
-        if noise.photo and len(fixed):
-            roots = controlled.bodies[fixed]
-            for name, values in (("body_pos", placed.pos), ("body_quat", placed.quat)):
-                whole = jnp.asarray(getattr(model, name), jnp.float32)
-                fields[name] = whole.at[roots].set(values[0, fixed])
     if noise.joints and len(controlled.joints):
         joints = [model.joint(name).id for name in controlled.joints]
         limited = model.jnt_limited[joints].astype(bool)
@@ -89,7 +54,7 @@ def draw_start(controlled: ControlledScene, key: Array, noise: ResetNoise) -> St
         sampled = qpos[controlled.qpos_of_joints] + draw
         clipped = jnp.where(limited, jnp.clip(sampled, low, high), sampled)
         qpos = qpos.at[controlled.qpos_of_joints].set(clipped)
-    return Start(qpos, fields, camera)
+    return qpos
 
 
 FIELDS = (
@@ -110,6 +75,8 @@ class Variants:
     """Initial controls."""
     fields: dict[str, np.ndarray]
     """Only fields in which the variants differ, each of shape [variant, ...]."""
+    cameras: tuple[Camera | None, ...] = ()
+    """The camera of each variant's photograph."""
 
     def __len__(self) -> int:
         return len(self.qpos)
@@ -149,4 +116,17 @@ def variants_of(controlled: ControlledScene, samples: SceneSamples) -> Variants:
         name: v for name, v in stacked.items() if not np.allclose(v, getattr(model, name), 1e-6)
     }
     ctrl = np.tile(controlled.initial_ctrl, (count, 1))
-    return Variants(qpos.astype(np.float32), ctrl.astype(np.float32), differing)
+    cameras = tuple(samples.cameras[k] for k in samples.kept)
+    return Variants(qpos.astype(np.float32), ctrl.astype(np.float32), differing, cameras)
+
+
+def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants | None:
+    """Return the kept ones of `n` draws of a scene; None for 0.
+
+    Sizes vary only if no collider is a mesh, because the worlds of a batch share their meshes.
+    """
+    if n == 0:
+        return None
+    scene = controlled.scene
+    drawn = sample(scene, n, seed=seed, sizes=not scene.static.mjm.nmesh)
+    return variants_of(controlled, drawn)

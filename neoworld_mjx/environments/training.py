@@ -21,15 +21,13 @@ from ..physics.engine import open_engine
 from ..progress import report, update
 from ..spec import SceneSpec, read_scene
 from . import ppo
-from .controlled_scene import ControlledScene
 from .mjx_environment import MjxEnv, open_scene
 from .own_reward import Reward, reward_name
 from .policy import ACTION_S, About, Policy, Setting, read_policy
 from .policy_environment import PolicyEnv, Script
-from .randomization import Variants, variants_of
+from .randomization import Variants, scene_variants
 from .reach import propose_mount
 from .robots import Mount
-from .samples import sample
 from .scripted_motion import arm_script
 from .simplified_scene import Colliders, scene_without
 from .task import CONTROL_S, SceneTask
@@ -133,18 +131,6 @@ def task_scene(
     )
     assert task is not None
     return task
-
-
-def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants | None:
-    """Return the kept ones of `n` draws of a scene; None for 0.
-
-    Sizes vary only if no collider is a mesh, because the worlds of a batch share their meshes.
-    """
-    if n == 0:
-        return None
-    scene = controlled.scene
-    drawn = sample(scene, n, seed=seed, sizes=not scene.static.mjm.nmesh)
-    return variants_of(controlled, drawn)
 
 
 def train(

@@ -15,9 +15,9 @@ from ..spec import SceneSpec, read_scene
 from .mjx_environment import EnvState, MjxEnv
 from .policy import Policy, Setting
 from .policy_environment import PolicyEnv
-from .randomization import Variants
+from .randomization import Variants, scene_variants
 from .task import SceneTask
-from .training import scene_variants, task_scene
+from .training import task_scene
 
 EVALUATION_SEED = 1_000_003
 """Added to the seed of evaluation, so that its draws are not those of training."""

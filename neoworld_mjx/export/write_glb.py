@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import ExportError
+from ..physics.lowering import ellipsoid_corners
 from ..render.appearance import read_print
 from ..render.tiles import tile_png, tile_size
 from ..spec import (
@@ -79,13 +80,13 @@ def collision_file(geom: GeomSpec, k: int) -> str:
 def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
     """Return the vertices [v, 3] and faces [f, 3] of a convex piece; None if it needs no mesh.
 
-    URDF and UsdPhysics have no ellipsoids. An ellipsoid becomes its tessellated surface, whose
-    facets are inside the ellipsoid by up to 1 % of the radius.
+    URDF and UsdPhysics have no ellipsoids. An ellipsoid becomes the polyhedron that replaces it in
+    files for MJX: it rests on a flat face, and has fewer corners than PhysX allows (64).
     """
     if piece.kind == "mesh":
         return hull(piece.vertices)
     if piece.kind == "ellipsoid":
-        return geom.shape.surface()
+        return hull(tuple(map(tuple, ellipsoid_corners(np.array(piece.size)).tolist())))
     return None
 
 

@@ -35,12 +35,17 @@ def lower_geoms(spec: mujoco.MjSpec) -> frozenset[str]:
 def polyhedron(kind: int, size: NDArray) -> NDArray:
     """Return the corners [n, 3] of the polyhedron that replaces a MuJoCo cylinder or ellipsoid."""
     if kind == _ELLIPSOID:
-        return _ball()[0] * size
+        return ellipsoid_corners(size)
     turn = 2 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
     ring = size[0] * _prism_factor() * np.column_stack([np.cos(turn), np.sin(turn)])
     return np.vstack(
         [np.column_stack([ring, np.full(PRISM_SIDES, z)]) for z in (-size[1], size[1])]
     )
+
+
+def ellipsoid_corners(radii: NDArray) -> NDArray:
+    """Return the 56 corners [56, 3] of the polyhedron that replaces an ellipsoid."""
+    return _ball()[0] * radii
 
 
 def _prism_factor() -> float:

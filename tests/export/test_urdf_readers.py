@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.export import export_object, import_file
-from neoworld_mjx.spec import HollowBox, ObjectSpec
+from neoworld_mjx.spec import Ellipsoid, HollowBox, ObjectSpec
 from tests.support.mechanisms import WOOD, geom, joint, part
 
 
@@ -49,6 +49,26 @@ def test_a_tight_drawer_slides_in_mujocos_urdf_reader(tmp_path):
         moved.append(float(data.qpos[slide.qposadr[0]]))
     # In MJCF the whole chest is free and is pushed back a little.
     assert moved[0] > 0.01 and moved[1] > 0.01
+
+
+def test_an_ellipsoid_rests_on_a_face_of_its_mesh(tmp_path):
+    """On a corner at its lowest point, it would tip over in simulators without ellipsoids."""
+    fruit = geom("fruit", Ellipsoid(radii=(0.04, 0.04, 0.038)), (0, 0, 0.038))
+    export_object(
+        ObjectSpec(name="orange", materials=(WOOD,), parts=(part("body", fruit),)), tmp_path
+    )
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "object.urdf"))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1))
+    (body,) = spec.worldbody.bodies
+    body.add_freejoint()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[3:] = (1, 0.01, 0.005, 0)
+    while data.time < 1:
+        mujoco.mj_step(model, data)
+    turned = 2 * np.degrees(np.arccos(min(1, abs(data.qpos[3]))))
+    assert turned < 0.5 and abs(data.qpos[2]) < 0.0015
+    assert model.mesh("fruit-0").vertnum <= 64  # More corners are too many for PhysX on a GPU.
 
 
 def test_only_colliders_of_moving_parts_are_shrunk(folder):
