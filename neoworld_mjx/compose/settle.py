@@ -111,15 +111,11 @@ def position_inside(
 
 def has_same_footprint(parent: SceneObject, obj: SceneObject) -> bool:
     """Return whether an object and its parent have about equal footprints, like a lid and a jar."""
-    size = np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2]
     low, high = _bounds_of(parent, obj.parent_link)
-    parent_size = (high - low)[:2]
-    return bool(
-        np.all(
-            np.abs(np.sort(size) - np.sort(parent_size))
-            <= FOOTPRINT_TOLERANCE * np.maximum(size, parent_size)
-        )
-    )
+    size = np.sort(np.ptp(bounds(obj.spec, obj.joint_state), axis=0)[:2])
+    parent_size = np.sort((high - low)[:2])
+    tolerance = FOOTPRINT_TOLERANCE * np.maximum(size, parent_size)
+    return bool(np.all(np.abs(size - parent_size) <= tolerance))
 
 
 def _min_separation(a: SceneObject, b: SceneObject) -> float:

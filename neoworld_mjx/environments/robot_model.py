@@ -198,7 +198,6 @@ def _home(r: _Read) -> NDArray:
     low, high = model.jnt_range[arm].T
     home = np.where(limited, np.clip(data.qpos[where], low, high), data.qpos[where])
     data.qpos[where] = home
-    mujoco.mj_forward(model, data)
     return home
 
 
@@ -211,7 +210,6 @@ def _stroke(r: _Read) -> tuple[NDArray, NDArray]:
         for value in row:
             data.qpos[model.jnt_qposadr[j]] = value
             mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
             apart = data.xipos[model.jnt_bodyid[j]] - data.site_xpos[r.site.id]
             distances.append(np.linalg.norm(apart))
         if distances[0] > distances[1]:

@@ -57,6 +57,13 @@ def test_noise_is_seeded_and_moves_only_movable_objects(scene):
     assert all(0.0 <= start["joints"][0] <= 0.2 for start in starts)
     moved = np.abs(starts[2]["poses"][1, :2] - starts[0]["poses"][1, :2]).max()
     assert moved < 0.2
+    # Nothing else moves than what is stated.
+    exact, moved = (
+        nw.gym_env(scene, noise=noise).reset(seed=1)[0] for noise in (None, nw.ResetNoise(xy=0.02))
+    )
+    assert np.abs(moved["poses"][1, :2] - exact["poses"][1, :2]).max() > 1e-3
+    np.testing.assert_allclose(moved["poses"][:, 2:], exact["poses"][:, 2:], atol=1e-6)
+    np.testing.assert_allclose(moved["joints"], exact["joints"], atol=1e-6)
 
 
 def with_uncertain_chest(scene):

@@ -8,13 +8,21 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.environments.arm import MOVE_M, scene_state
+from neoworld_mjx.environments.arm import (
+    DAMPING,
+    LEASH_RAD,
+    MOVE_M,
+    POSTURE,
+    TOWARD,
+    TURN_RAD,
+    scene_state,
+)
 from neoworld_mjx.environments.cameras import camera_view, picture
 from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.render.view import View
-from neoworld_mjx.spec.pose import rotate
+from neoworld_mjx.spec.pose import from_axis_angle, quat_mul, rotate
 from tests.support import scenes
 
 ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
@@ -99,6 +107,74 @@ def test_joint_targets(data):
     target = controlled.hold_action + np.array([0.2, 0.1, 0, 0, 0, 0], np.float32)
     act(controlled, data, target, 60)
     assert data.qpos[controlled.arm.qpos] == pytest.approx(target[:5], abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def geared(tmp_path_factory):
+    """An arm one of whose motors turns its joint by half of the control."""
+    file = tmp_path_factory.mktemp("geared") / "arm.xml"
+    motor = '<position class="arm" name="lift" joint="lift"'
+    file.write_text(ARM.read_text().replace(motor, f'{motor} gear="2"'))
+    return controlled_scene(scenes.furnished(), robot=file, mount=MOUNT)
+
+
+def test_targets_are_positions_whatever_the_gear_of_a_motor(geared):
+    data = geared.initial_data()
+    home = np.array([0.0, -0.6, 1.6, 0.57, 0.0])
+    lift = geared.model.actuator("robot-lift").id
+    assert data.ctrl[lift] == pytest.approx(-1.2)
+    before = geared.observe(scene_state(data))
+    np.testing.assert_allclose(before["robot_joints"], home, atol=1e-9)
+    np.testing.assert_allclose(before["robot_targets"], np.zeros(5), atol=1e-9)
+    data.ctrl[lift] += 0.1
+    data.qpos[geared.arm.qpos[0]] += 0.02
+    data.qvel[geared.arm.dof] = [0.1, 0.2, 0.3, 0.4, 0.5]
+    after = geared.observe(scene_state(data))
+    np.testing.assert_allclose(after["robot_targets"], [-0.02, 0.05, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(after["robot_velocities"], [0.1, 0.2, 0.3, 0.4, 0.5])
+    # The controls of no motion keep the targets.
+    still = geared.controls(np.array([0, 0, 0, 0, 0, 0, 1.0]), scene_state(data))
+    assert still[lift] == pytest.approx(-1.1)
+    act(geared, data, [0, 0, 0, 0, 0, 0, 1], 60)
+    assert geared.observe(scene_state(data))["robot_joints"][1] == pytest.approx(-0.55, abs=0.01)
+
+
+def test_a_step_towards_a_pose_is_a_share_of_the_way_in_the_axes_of_the_base(controlled, data):
+    state = scene_state(data)
+    pos, quat = controlled.tool(state)
+    base = np.array([0.01, -0.005, 0.004])
+    turn = from_axis_angle(rotate(MOUNT.quat, np.array([0.0, 0.6, 0.8])), 0.05)
+    for sign in (1.0, -1.0):  # Both quaternions are one orientation.
+        action = controlled.arm.toward(
+            state, pos + rotate(MOUNT.quat, base), sign * quat_mul(turn, quat), -0.5
+        )
+        np.testing.assert_allclose(action[:3], TOWARD * base / MOVE_M, atol=1e-9)
+        expected = TOWARD * 0.05 / TURN_RAD * np.array([0, 0.6, 0.8])
+        np.testing.assert_allclose(action[3:6], expected, atol=1e-9)
+        assert action[6] == -0.5
+    far = controlled.arm.toward(state, pos + rotate(MOUNT.quat, [5.0, 0, 0]), quat, 1, limit=0.4)
+    np.testing.assert_allclose(far[:6], [0.4, 0, 0, 0, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.1])
+def test_an_action_changes_the_targets_by_damped_least_squares(controlled, data, away):
+    """About a small return to the initial posture; an angle of 1 rad weighs like 15 cm."""
+    arm = controlled.arm
+    state = scene_state(data)._replace(ctrl=data.ctrl + away * np.eye(7)[0])
+    action = np.array([0.5, -0.3, 0.8, 0.2, -0.4, 0.1])
+    targets = controlled.controls(np.append(action, 1.0), state)
+    change = targets[arm.actuators] - state.ctrl[arm.actuators]
+    twist = [rotate(MOUNT.quat, MOVE_M * action[:3]), rotate(MOUNT.quat, TURN_RAD * action[3:])]
+    posture = -POSTURE * np.linalg.norm(action) * away * np.eye(5)[0]
+    weights = np.array([1.0, 1.0, 1.0, 0.15, 0.15, 0.15])
+    rows = np.vstack([weights[:, None] * arm.jacobian(state), DAMPING * np.eye(5)])
+    right = np.append(weights * np.concatenate(twist), DAMPING * posture)
+    expected = np.linalg.lstsq(rows, right, rcond=None)[0]
+    np.testing.assert_allclose(change, expected, atol=1e-9)
+    # Targets stay within reach of the positions, and within the joints' ranges.
+    torn = state._replace(ctrl=data.ctrl + 5.0)
+    held = controlled.controls(np.array([0, 0, 0, 0, 0, 0, 1.0]), torn)[arm.actuators]
+    np.testing.assert_allclose(held, arm.home + LEASH_RAD)
 
 
 def test_robots_that_cannot_be_used_are_refused(tmp_path):

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from neoworld_mjx.evidence.known_camera import KnownCamera, with_known_camera
+from neoworld_mjx.evidence.known_camera import (
+    EXACT_ANGLE,
+    EXACT_FOCAL,
+    EXACT_HEIGHT,
+    KnownCamera,
+    with_known_camera,
+)
 from neoworld_mjx.spec import Box2D, Box3D, Camera, SceneTree, TreeNode
 
 GUESS = Camera(width=640, height_px=480, fovy=0.6, height=0.5, pitch=0.5)
@@ -73,9 +79,81 @@ def test_known_height_scales_the_scene():
         assert new.box3d.size == pytest.approx((0.2, 0.2, 0.2))
 
 
+def test_the_environment_moves_with_the_middle_of_the_objects():
+    known = KnownCamera(size=(640, 480), focal=GUESS.focal, pitch=GUESS.pitch, roll=0.0, height=1.0)
+    after = with_known_camera(tree(), known)
+    # The median of the shifts is that from the camera to the middle, (1.0, 0.05).
+    table = after.node("table").box3d
+    assert table.position == pytest.approx((2.0, 0.05, -0.04))
+    assert table.size == (1.0, 1.0, 0.04)
+    assert after.camera == GUESS.model_copy(update={"height": 1.0})
+    assert with_known_camera(tree(), KnownCamera(size=(640, 480))) == tree()
+
+
+@pytest.mark.parametrize("change", [{"focal": 1100.0}, {"pitch": 0.7}, {"roll": 0.2}])
+def test_an_object_keeps_its_distance_if_the_height_is_unknown(change):
+    """In proportion to the focal length, so that it keeps its size, too."""
+    table, cup, *_ = tree().nodes
+    raised = cup.box3d.model_copy(update={"position": (0.9, 0.1, 0.15)})
+    cup = cup.model_copy(update={"box3d": raised})
+    single = tree().model_copy(update={"nodes": (table, cup)})
+    after = with_known_camera(single, KnownCamera(size=(640, 480), **change))
+    box = after.node("cup").box3d
+    distance = np.linalg.norm(np.subtract(cup.box3d.position, GUESS.position()))
+    zoom = after.camera.focal / GUESS.focal
+    moved = np.linalg.norm(np.subtract(box.position, after.camera.position()))
+    assert moved == pytest.approx(zoom * distance)
+    assert box.size == pytest.approx(cup.box3d.size)
+    assert pixels(after)["cup"] == pytest.approx(pixels(single)["cup"])
+
+
+def test_objects_behind_the_camera_or_far_beyond_their_distance_stay():
+    table, cup, can, book = tree().nodes
+    behind = can.model_copy(
+        update={"box3d": can.box3d.model_copy(update={"position": (-1.0, 0.0, 0.0)})}
+    )
+    far = book.model_copy(
+        update={"box3d": book.box3d.model_copy(update={"position": (8.0, 0.0, 0.0)})}
+    )
+    scene = tree().model_copy(update={"nodes": (table, cup, behind, far)})
+    # Seen by the new camera, the far object would be above the horizon.
+    after = with_known_camera(scene, KnownCamera(size=(640, 480), pitch=0.4, height=0.5))
+    assert after.node("can") == behind and after.node("book") == far
+    assert after.node("cup") != cup
+    stays = set()
+    for pitch in (0.2, 0.36, 0.44):
+        after = with_known_camera(tree(), KnownCamera(size=(640, 480), pitch=pitch, height=0.5))
+        ray = after.camera.rays(pixels(tree())["book"])
+        distance = -0.5 / ray[2]
+        old = np.linalg.norm(np.subtract(book.box3d.position, GUESS.position()))
+        stays.add(after.node("book") == book)
+        assert (after.node("book") != book) is bool(0 < distance < 3 * old)
+    assert stays == {False, True}
+
+
+def test_what_is_known_has_its_deviation_and_source():
+    known = KnownCamera(size=(640, 480), focal=800.0, pitch=0.5)
+    assert known.deviations() == {"pitch": EXACT_ANGLE, "focal": EXACT_FOCAL}
+    assert (EXACT_FOCAL, EXACT_HEIGHT) == (1e-4, 1e-4)
+    assert math.degrees(EXACT_ANGLE) == pytest.approx(0.02)
+    other = KnownCamera(size=(640, 480), roll=0.1, angle_sd=0.02, height=1.0, height_sd=0.1)
+    assert other.deviations() == {"roll": 0.02, "height": 0.1}
+    assert known.source_of("focal") == known.source_of("pitch") == "given"
+    file = KnownCamera(size=(640, 480), source="a.json", focal_source="EXIF")
+    assert (file.source_of("focal"), file.source_of("pitch")) == ("EXIF", "a.json")
+
+
+def test_pixels_of_a_known_camera_refer_to_its_own_image():
+    known = KnownCamera(size=(1280, 960), focal=1600.0, principal=(40.0, -20.0))
+    camera = known.camera(GUESS)
+    assert camera.focal == pytest.approx(800.0)
+    assert camera.center == pytest.approx((340.0, 230.0))
+
+
 def test_base_frame_of_a_camera():
     known = KnownCamera(size=(640, 480), base=(0.4, -0.2, 1.1), heading=math.pi / 2)
     frame = known.base_frame(GUESS)
+    assert frame is not None
     assert frame.apply([0.0, 0.0, GUESS.height]) == pytest.approx([0.4, -0.2, 1.1])
     assert frame.apply([1.0, 0.0, 0.0])[:2] == pytest.approx([0.4, 0.8])
     assert KnownCamera(size=(640, 480)).base_frame(GUESS) is None

@@ -79,3 +79,10 @@ def test_an_inverted_mesh_has_the_pieces_of_the_mesh(tmp_path, monkeypatch):
         pieces, method = convex_pieces(mesh.vertices, outward(mesh.vertices, mesh.faces))
     assert method == "2 convex pieces by CoACD"
     assert sum(ConvexHull(piece).volume for piece in pieces) == pytest.approx(0.005, rel=1e-3)
+    # The next time, they are read; another mesh cannot be decomposed in this time.
+    again, method = convex_pieces(mesh.vertices, outward(mesh.vertices, mesh.faces), 1e-3)
+    assert method == "2 convex pieces by CoACD"
+    for piece, other in zip(again, pieces, strict=True):
+        np.testing.assert_array_equal(piece, other)
+    hull, method = convex_pieces(2 * mesh.vertices, outward(mesh.vertices, mesh.faces), 1e-3)
+    assert len(hull) == 1 and "its convex hull, as CoACD fails" in (method or "")

@@ -325,3 +325,6 @@ def test_run_shows_what_the_evidence_says(both_frames, tmp_path, photo, quick_co
     assert np.median(on_cup.max(axis=1)) > 200  # Not gray: its depth is measured.
     page = (tmp_path / "out" / "report.html").read_text()
     assert "calibration</td>" in page and "Rendered minus measured distance" in page
+    # The final alignment uses the photograph and the evidence; if they change, Step 5 is repeated.
+    steps = json.loads((tmp_path / "out" / "run.json").read_text())["steps"]
+    assert {"photo", "align", "evidence", "scene"} <= steps["refine"]["inputs"].keys()
