@@ -95,7 +95,8 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
     - the geoms whose names, or whose parts' names, match `HANDLE`;
     - for a continuous joint, the moved part;
     - the geom that reaches farthest toward where the joint opens, if it covers at most `SMALL` of
-      the part as seen from there: a bar or a knob in front of a door;
+      the part as seen from there, and no hinge's axis passes through it: a bar or a knob in front
+      of a door;
     - for a prismatic joint, the side toward which the part moves;
     - for a revolute or ball joint, the side that is farthest from the joint.
 
@@ -189,7 +190,19 @@ def _in_front(shapes: list[_Shape], joint: JointSpec, way: tuple[int, float]) ->
     found = [shape for shape in shapes if shape.geom == geom]
     across = [k for k in range(3) if k != way[0]]
     seen, whole = (float(np.prod(_around(group)[1][across])) for group in (found, shapes))
-    return found if seen <= SMALL * whole else []
+    return found if seen <= SMALL * whole and not _on_axis(found, joint) else []
+
+
+def _on_axis(shapes: list[_Shape], joint: JointSpec) -> bool:
+    """Return whether the axis of a hinge passes through the box around shapes, as in a hub.
+
+    The point of the axis that is nearest to the center of the box decides.
+    """
+    if joint.type != "revolute":
+        return False
+    center, half = _around(shapes)
+    arm, axis = center - np.array(joint.pos), np.array(joint.axis)
+    return bool(np.all(np.abs(arm - (arm @ axis) * axis) <= half))
 
 
 def _solid(

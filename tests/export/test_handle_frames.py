@@ -52,3 +52,21 @@ def test_a_handle_frame_lies_on_the_bar_before_a_door(names):
 def test_without_a_handle_the_frame_is_at_the_free_edge_of_the_door():
     _, handle = door_of(CABINET)
     assert handle.pos[1] == pytest.approx(-0.35, abs=2e-3)
+
+
+def test_a_hub_on_the_axis_is_no_handle():
+    """The hub is thicker than the spout, so it reaches farthest, but no push there turns it."""
+    _, handle = door_of("""
+from neoworld_mjx.program.sdk import Object, box, cylinder
+
+faucet = Object("faucet")
+faucet.material("oak")
+base = faucet.part("base", material="oak")
+base.add(cylinder(0.03, 0.1), by="bottom")
+spout = faucet.part("spout", material="oak")
+spout.add(cylinder(0.022, 0.02), at=(0, 0, 0.1008), by="bottom")
+spout.add(box((0.2, 0.02, 0.02)), at=(0.11, 0, 0.1008), by="bottom")
+faucet.revolute("turn", base, spout, at=(0, 0, 0.1008), axis="up", range=(-0.9, 0.9))
+""")
+    # The object is centered, so it spans 24 cm about x = 0.
+    assert handle.pos[0] == pytest.approx(0.12, abs=1e-3)
