@@ -107,12 +107,13 @@ class TrainCommand(Command):
             reward=reward,
             resume=self.resume,
         )
+        mount = policy.about.setting.mount
         last = (out / CURVE).read_text(encoding="utf-8").splitlines()[-1]
         return {
             "policy": str(out / POLICY),
             "steps": policy.about.steps,
             "engine": engine,
-            "mount": policy.about.setting.mount,
+            "mount": None if mount is None else [*mount.pos, mount.yaw],
             "last": json.loads(last),
         }
 
@@ -121,7 +122,7 @@ class TrainCommand(Command):
         last, mount = result["last"], result["mount"]
         stands = "the base of the robot stands at {:.2f} {:.2f} {:.2f}, turned by {:.2f} rad"
         return [
-            *([] if mount is None else [stands.format(*mount.pos, mount.yaw)]),
+            *([] if mount is None else [stands.format(*mount)]),
             f"trained for {result['steps']:,} control steps on {result['engine']}; of "
             f"{last['episodes']:,.0f} episodes that ended last, {last['success']:.0%} succeeded",
             f"wrote {result['policy']}",

@@ -7,6 +7,8 @@ from ..options import Options, PaperDifference, option
 
 NARROW = "A search varies what the photograph leaves open, not what it shows exactly."
 """Reason for deviations of the estimate in place of the paper's."""
+SIGMA_XY, SIGMA_YAW_DEG, SIGMA_LOG_SCALE = 0.05, 15.0, 0.1
+"""Initial standard deviations in Appendix B of the paper; units as those of the options."""
 
 
 class CEMOptions(Options):
@@ -26,7 +28,7 @@ class CEMOptions(Options):
         "0.05 for objects that were not aligned with the photograph.",
         unit="the object's horizontal bounding-box diagonal",
         ge=0,
-        difference=PaperDifference(0.05, NARROW),
+        difference=PaperDifference(SIGMA_XY, NARROW),
     )
     sigma_yaw_deg: float | None = option(
         None,
@@ -34,14 +36,14 @@ class CEMOptions(Options):
         "15; 15 for objects that were not aligned.",
         unit="deg",
         ge=0,
-        difference=PaperDifference(15.0, NARROW),
+        difference=PaperDifference(SIGMA_YAW_DEG, NARROW),
     )
     sigma_log_scale: float | None = option(
         None,
         "Initial standard deviation of the logarithm of the scale. The default is that of the "
         "estimate, at most 0.1; 0.1 for objects that were not aligned.",
         ge=0,
-        difference=PaperDifference(0.1, NARROW),
+        difference=PaperDifference(SIGMA_LOG_SCALE, NARROW),
     )
     hold_resting: bool = option(
         True,

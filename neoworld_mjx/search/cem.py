@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from ..config import CEMOptions
+from ..config.search_options import SIGMA_LOG_SCALE, SIGMA_XY, SIGMA_YAW_DEG
 from ..physics.array_types import AnyArray
 from ..physics.layout import Layout
 from ..physics.scene_arrays import SceneArrays, on_device
 
-PAPER = np.array([0.05, 0.05, np.radians(15.0), 0.1])
+PAPER = np.array([SIGMA_XY, SIGMA_XY, np.radians(SIGMA_YAW_DEG), SIGMA_LOG_SCALE])
 """Initial standard deviations of x, y, yaw and log scale in Appendix B."""
 PLATE_THICKNESS = 0.3
 """A box is a plate if its thickness is less than this fraction of its second-shortest side."""

@@ -5,7 +5,7 @@ and slices of bread push each other apart, so their contours leave those of the 
 they are aligned at the tilts at which they rest, settled again, and checked again.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..measure import SceneMeasure
 from ..physics.model import CompiledScene, compile_for_simulation
 from ..render import visible_surface
 from ..spec import SceneSpec, world_poses
-from .finishing import check_settled
+from .finishing import check_settled, supports_of
 
 TRIES = 3
 """Largest number of times that the aligned scene is settled and checked. After each time, some
@@ -104,7 +104,7 @@ def align_final(
             for k in range(len(rests))
             if not (rests[k] and is_supported(shown == k, owner == k, bins))
         ]
-        worse = _with_supports(refined, faulty) & accepted
+        worse = {name for k in faulty for name in _with_supports(refined, k)} & accepted
         if finished.passed and not worse:
             names = tuple(item.name for item in refined.objects if item.name in accepted)
             return FinalAlignment(finished.scene, finished.measure, names)
@@ -147,12 +147,6 @@ def _mixed(refined: SceneSpec, aligned: SceneSpec, names: set[str]) -> SceneSpec
     return refined.model_copy(update={"objects": tuple(objects)})
 
 
-def _with_supports(scene: SceneSpec, objects: Iterable[int]) -> set[str]:
-    """Return the names of some objects, given by index, and of all objects that carry them."""
-    names = set[str]()
-    for k in objects:
-        name: str | None = scene.objects[k].name
-        while name is not None:
-            names.add(name)
-            name = scene.object(name).parent
-    return names
+def _with_supports(scene: SceneSpec, k: int) -> set[str]:
+    """Return the names of an object, given by index, and of the objects that support it."""
+    return {scene.objects[k].name} | supports_of(scene, scene.objects[k])

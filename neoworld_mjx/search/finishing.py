@@ -160,7 +160,7 @@ def hold_failing(composed: SceneSpec, finished: Finished, o: RefineOptions) -> F
     An object that lacks its support, because the response does not have it, would otherwise lie
     somewhere on the ground, and its neighbors with it. Of an object that fails and others that it
     carries, it alone is held at first, since they may rest on it then. An object is held together
-    with the movable objects that carry it.
+    with the movable objects that support it.
 
     Args:
         composed: the placed scene.
@@ -170,15 +170,15 @@ def hold_failing(composed: SceneSpec, finished: Finished, o: RefineOptions) -> F
     Returns:
         The final scene, which does not pass either if objects are held: `SceneObject.held`.
     """
-    carriers = {item.name: _carriers(composed, item) for item in composed.objects}
+    supports = {item.name: supports_of(composed, item) for item in composed.objects}
     held = set[str]()
     while True:
         rests = zip(finished.scene.objects, finished.rests(o), strict=True)
         failing = {item.name for item, at_rest in rests if not (at_rest or item.static)}
         if not failing:
             return finished
-        first = {name for name in failing if not failing & carriers[name]} or failing
-        held |= first.union(*(carriers[name] for name in first))
+        first = {name for name in failing if not failing & supports[name]} or failing
+        held |= first.union(*(supports[name] for name in first))
         objects = tuple(
             item.model_copy(update={"held": item.name in held and not item.static})
             for item in composed.objects
@@ -187,7 +187,7 @@ def hold_failing(composed: SceneSpec, finished: Finished, o: RefineOptions) -> F
         finished = settle_and_check(compile_for_simulation(scene), scene, o)
 
 
-def _carriers(scene: SceneSpec, item: SceneObject) -> set[str]:
+def supports_of(scene: SceneSpec, item: SceneObject) -> set[str]:
     """Return the names of the objects on which an object stands, directly or through others."""
     names = set[str]()
     while item.parent is not None:

@@ -95,7 +95,7 @@ class SceneObject(Spec):
 
     held: bool = Field(default=False, exclude_if=lambda value: not value)
     """True if the object does not rest where the photograph shows it, and was fixed there, or
-    carries such an object. A scene with held objects is not valid."""
+    supports such an object. A scene with held objects is not valid."""
 
     @property
     def static(self) -> bool:
@@ -215,7 +215,8 @@ def read_scene(path: Path) -> SceneSpec:
     if (path / "run.json").is_file() and not file.exists():
         raise SpecError(
             f"{path} is a run folder without a scene: its run stopped before the step refine; "
-            "continue it with neoworld reconstruct --resume"
+            "continue it with neoworld reconstruct --resume, or name one of its objects, such as "
+            "objects/NAME"
         )
     if path.is_dir() and not file.exists():
         raise SpecError(f"{path} is no run folder with a scene: it contains no scene.json")

@@ -1,4 +1,4 @@
-"""Reads what a path names: a scene, an object, or the program of an object."""
+"""Read a path's scene, object, or program of an object."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +41,7 @@ class PatchedProgram:
 
 
 Target = ImportedScene | Imported | PatchedProgram
-"""What a path names. Each has a `spec` (a SceneSpec or an ObjectSpec) and `notes`."""
+"""Content of a path. Each has a `spec` (a SceneSpec or an ObjectSpec) and `notes`."""
 
 
 def read_target(path: Path, options: ProgramOptions, *, alone: bool = False) -> Target:
@@ -55,13 +55,11 @@ def read_target(path: Path, options: ProgramOptions, *, alone: bool = False) -> 
     Raises:
         SpecError: the path contains none of these, or cannot be read.
     """
-    if path.is_dir() and not (path / "scene.json").is_file():
+    if path.is_dir() and not any((path / name).is_file() for name in ("scene.json", "run.json")):
         files = [path / name for name in ("program.py", "spec.json") if (path / name).is_file()]
-        if (path / "run.json").is_file() or not files:
+        if not files:
             raise SpecError(
-                f"{path} is no run folder with a scene, and contains no program.py or spec.json: "
-                "continue its run with reconstruct --resume, or name one of its objects, such as "
-                "objects/NAME"
+                f"{path} is no run folder with a scene, and contains no program.py or spec.json"
             )
         path = files[0]
     suffix = path.suffix.lower()

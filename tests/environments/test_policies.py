@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import subprocess
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -353,3 +354,20 @@ def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
     assert alone.about.setting.delay_steps == 1
     assert alone.about.setting.without == ("block",) and alone.observation_size == whole
     assert len(evaluate(alone, scene, samples=0).success) == 1
+
+
+def test_training_with_a_robot_says_where_its_base_stands(scene, tmp_path, neoworld):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "scene.json").write_text(scene.to_json())
+    arm = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
+    small = ("--steps", 128, "--worlds", 4, "--samples", 0, "--engine", "native")
+    mount = ("--mount", -0.6, 0.1, 0.0, 0.3)
+    command = ("train", folder, "--robot", arm, *mount, "--task", "reach block", *small)
+    ended = neoworld(*command, "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["mount"] == [-0.6, 0.1, 0.0, 0.3]
+    ended = neoworld(*command, "--out", tmp_path / "again")
+    assert ended.stdout.startswith(
+        "the base of the robot stands at -0.60 0.10 0.00, turned by 0.30"
+    )

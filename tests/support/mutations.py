@@ -142,7 +142,7 @@ def _joins_text(node: ast.AST) -> bool:
 
 
 def _has_opposite(test: ast.expr) -> bool:
-    """Whether another operator yields the same as `not test`."""
+    """Return whether another operator yields the same as `not test`."""
     if isinstance(test, ast.Compare):
         return len(test.ops) == 1 and not isinstance(
             test.ops[0], ast.Lt | ast.LtE | ast.Gt | ast.GtE
