@@ -26,7 +26,7 @@ def urdf_objects(out, scene):
     """Yield the name, file, pose and mobility of each object; URDF has no poses of objects."""
     for item in scene["objects"]:
         name, pose = item["name"], scene["world_poses"][item["name"]]
-        fixed = item["environment"] or item["fixed_base"]
+        fixed = item["environment"] or item["fixed_base"] or item.get("held", False)
         yield name, out / "objects" / name / "object.urdf", pose["pos"], pose["quat"], fixed
 
 
