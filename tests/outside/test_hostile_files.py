@@ -203,7 +203,7 @@ FILES: dict[str, Row] = {
 MESHES = {
     "missing vertex": ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n"),
     "nan": ("m.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
-    "polygon": ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 1_000_000),
+    "polygon": ("m.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 2_500_000),
     "declared": ("m.stl", bytes(80) + struct.pack("<I", 2**31) + bytes(50)),
     "claimed": ("m.ply", b"ply\nformat ascii 1.0\nelement vertex 999999999999\nend_header\n"),
     "entities": ("m.dae", b'<!DOCTYPE x [<!ENTITY a "b">]><COLLADA/>'),
