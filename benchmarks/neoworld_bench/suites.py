@@ -102,7 +102,7 @@ class SceneSet(NoisyRuns):
     """Run methods on the thirty scenes of the benchmark, each from its own noisy initial scenes."""
 
     scenes: tuple[str, ...] = ()
-    """Names of scenes, or a single number of scenes; all by default."""
+    """Names of scenes, a single number of scenes, or `arrangements`; the thirty by default."""
     method: tuple[str, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
     """Methods: ours; without a search open_loop, gravity, guided and aligned; algorithm1; ablations
     no_simulation, without_s_sem, without_d_pen, without_d_drift, without_photo, without_contours,

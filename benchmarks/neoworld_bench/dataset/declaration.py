@@ -17,7 +17,9 @@ from neoworld_mjx.spec.room import SupportOutline, SupportSurface, SurfacePatter
 from neoworld_mjx.spec.tree import Relation
 from neoworld_mjx.templates import Template, read_template, template, templates
 
-SCENES, PROGRAMS = (Path(__file__).parent / name for name in ("scenes", "programs"))
+SCENES, ARRANGEMENTS, PROGRAMS = (
+    Path(__file__).parent / name for name in ("scenes", "arrangements", "programs")
+)
 Room = Literal[
     "tabletop", "kitchen", "desk", "workshop", "laboratory", "bathroom", "shelf", "floor"
 ]
@@ -134,18 +136,18 @@ def read_declaration(path: Path) -> SceneDeclaration:
 
 
 @functools.cache
-def declarations() -> dict[str, SceneDeclaration]:
-    """Read all scenes of the benchmark, by name."""
-    return {path.stem: read_declaration(path) for path in sorted(SCENES.glob("*.yaml"))}
+def declarations(folder: Path = SCENES) -> dict[str, SceneDeclaration]:
+    """Read the thirty scenes, or the scenes of another folder, by name."""
+    return {path.stem: read_declaration(path) for path in sorted(folder.glob("*.yaml"))}
 
 
 def declaration(name: str) -> SceneDeclaration:
-    """Return a scene of the benchmark.
+    """Return one of the thirty scenes or of the arrangements.
 
     Raises:
         SpecError: there is no such name.
     """
-    every = declarations()
+    every = declarations() | declarations(ARRANGEMENTS)
     if name not in every:
         raise SpecError(f"scene: {choices(name, every)}")
     return every[name]

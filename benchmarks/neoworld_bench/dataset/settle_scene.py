@@ -16,12 +16,15 @@ from neoworld_mjx.errors import NeoWorldError
 from neoworld_mjx.measure import SceneCheck, measured, scene_checks
 from neoworld_mjx.physics.rest import settle_scene
 from neoworld_mjx.spec import SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import IDENTITY, angle_between
 
 from .declaration import ObjectDeclaration, SceneDeclaration, read_declaration
 from .truth_scene import truth_scene
 
 GROUND_TRUTH = SettleOptions(duration_s=6.0, fade_s=3.0)
 """Longer than for candidates, as ground truth is settled once."""
+UPRIGHT_DEG = 0.3
+"""Tilt up to which an object is written as upright, as nobody sees a smaller one [deg]."""
 
 
 def settled(declared: SceneDeclaration) -> tuple[SceneDeclaration, SceneSpec]:
@@ -34,6 +37,8 @@ def settled(declared: SceneDeclaration) -> tuple[SceneDeclaration, SceneSpec]:
 
 def _posed(item: ObjectDeclaration, at: SceneObject) -> ObjectDeclaration:
     tilt = np.round(at.base_tilt, 7)
+    if np.degrees(angle_between(tilt, IDENTITY)) < UPRIGHT_DEG:
+        tilt = np.array(IDENTITY)
     return item.model_copy(
         update={
             "at": tuple(np.round([*at.xy, at.z], 5).tolist()),

@@ -15,7 +15,7 @@ from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
-from ..dataset.declaration import declaration, declarations
+from ..dataset.declaration import ARRANGEMENTS, declaration, declarations
 from ..dataset.truth_scene import photographed
 from ..noise.known_evidence import kinds_of
 from ..noise.parse_noise import NoiseLog
@@ -145,21 +145,24 @@ def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the chosen scenes.
 
     Args:
-        names: names of scenes. If empty, all scenes are chosen. If it is a single number, this many
-            scenes are chosen, evenly spaced in the list.
+        names: names of scenes. If empty, all thirty scenes are chosen. If it is a single number,
+            this many of them are chosen, evenly spaced in the list; if it is "arrangements", the
+            twelve arrangements.
 
     Raises:
         SpecError: there is no scene of this name, or there are fewer scenes than the number.
     """
-    every = tuple(declarations())
+    every, arrangements = tuple(declarations()), tuple(declarations(ARRANGEMENTS))
+    if tuple(names) == ("arrangements",):
+        return arrangements
     if len(names) == 1 and names[0].isdecimal():
         count = int(names[0])
         if not 1 <= count <= len(every):
             raise SpecError(f"scenes: got {count}, valid is from 1 to {len(every)}")
         return tuple(every[int(k * len(every) / count)] for k in range(count))
     for name in names:
-        if name not in every:
-            raise SpecError(f"scenes: {choices(name, every)}")
+        if name not in every + arrangements:
+            raise SpecError(f"scenes: {choices(name, (*every, *arrangements, 'arrangements'))}")
     return tuple(names) or every
 
 
