@@ -1,48 +1,95 @@
-# Written by hand through the mailbox, from a picture of the object alone.
 import math
 
-from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, hollow_box, sweep
+from neoworld_mjx.program.sdk import Object, box, extrusion, hollow_box, sweep
 
-# Dishwasher, given box 0.70 x 0.65 x 0.80 m: a flap hinged at its lower edge under a control panel.
-X, Y, Z = 0.70, 0.65, 0.80
-PULL, FLAP = 0.062, 0.03
-DEPTH = X - PULL - FLAP  # of the body; flap and handle stand before it
-TOE, PANEL = 0.03, 0.70  # heights of the plinth and of the control panel's lower edge
+# Dishwasher, given box 0.73 x 0.61 x 0.74 m: control panel with a rounded lip above a door that
+# folds down.
+X, Y, Z = 0.73, 0.61, 0.74
+FRONT, PULL, WALL, GAP = 0.035, 0.065, 0.04, 0.001
+DEPTH = X - FRONT - PULL - GAP
+PANEL = 0.647  # lower edge of the control panel
+LIP = 0.055  # how far its upper edge stands in front of the carcass
 
-washer = Object("dishwasher", label="grey dishwasher")
-# Sheet metal over insulation: far lighter than solid steel.
-washer.material("sheet", like="steel", density=500, rgb=(0.52, 0.52, 0.51))
-steel = washer.material("pull", like="steel", density=2000, rgb=(0.62, 0.62, 0.61))
-body = washer.part("body", material="sheet")
-body.add(box((DEPTH - 0.03, Y, TOE)), at=(-0.015, 0, 0), by="bottom", name="plinth")
-shell = body.add(
-    hollow_box((DEPTH, Y, Z - TOE), 0.025, open="+x"), at=(0, 0, TOE), by="bottom", name="shell"
+washer = Object("fs_dishwasher", label="dishwasher")
+grey = washer.material(
+    "grey_steel",
+    like="insulated",
+    rgb=(0.62, 0.62, 0.62),
+    rgb2=(0.55, 0.55, 0.55),
+    pattern="speckles",
 )
-x = shell.anchor("front")[0]
-# The control panel closes the top of the front and leans out a little towards its upper edge.
-panel = [(0, 0), (FLAP - 0.008, 0), (FLAP, 0.035), (FLAP, Z - PANEL), (0, Z - PANEL)]
-body.add(extrusion(panel, Y), at=(x, 0, PANEL), rpy=(math.pi / 2, 0, 0), name="panel")
-slot = (x + FLAP - 0.004, 0.03, PANEL + 0.025)
-body.add(box((0.002, 0.08, 0.006)), at=slot, role="visual", rgb=(0.8, 0.8, 0.8), name="latch")
-# Two racks inside, fast: nothing of them is to be seen.
-for z in (0.22, 0.45):
-    body.add(hollow_box((DEPTH - 0.08, Y - 0.052, 0.08), 0.004), at=(0, 0, z), by="bottom")
+bright = washer.material(
+    "handle_steel", like="aluminium", rgb=(0.68, 0.68, 0.68), metallic=0.2, roughness=0.6
+)
 
-flap = washer.door(
-    "flap",
+body = washer.part("body", material=grey)
+shell = body.add(hollow_box((DEPTH, Y, Z), WALL, open="+x"), by="bottom", name="shell")
+x, back = shell.anchor("front")[0], shell.anchor("back")[0]
+inside = (-Y / 2 + WALL, Y / 2 - WALL)
+washer.shelf(body, x=(back + WALL, x), y=inside, z=PANEL + 0.02, thickness=0.02, name="ceiling")
+
+# Control panel: its outline in (x, z), extruded along y; it recedes towards its lower edge.
+outline = [
+    (x - 0.002, PANEL),
+    (x + 0.036, PANEL),
+    (x + 0.044, PANEL + 0.020),
+    (x + 0.051, PANEL + 0.045),
+    (x + LIP, PANEL + 0.070),
+    (x + LIP, Z),
+    (x - 0.002, Z),
+]
+body.add(extrusion(outline, Y), rpy=(math.pi / 2, 0, 0), name="control_panel")
+body.add(
+    box((0.004, 0.07, 0.008)),
+    at=(x + 0.041, 0.01, PANEL + 0.012),
+    role="visual",
+    rgb=(0.35, 0.35, 0.35),
+    name="slot",
+)
+
+door = washer.door(
+    "door",
     body,
     x=x,
-    y=(-Y / 2 + 0.012, Y / 2 - 0.012),
-    z=(TOE + 0.004, PANEL - 0.002),
+    y=(-Y / 2, Y / 2),
+    z=(WALL, PANEL - 0.001),
     hinge="bottom",
-    thickness=FLAP,
-    opens=1.5,
+    thickness=FRONT,
+    gap=GAP,
+    opens=1.4,
+    material=grey,
 )
-px = flap.anchor("front")[0]
-R, W, H = 0.018, 0.285, 0.655
-bar = [(px - 0.005, -W, H), (px + PULL - R, -W, H), (px + PULL - R, W, H), (px - 0.005, W, H)]
-flap.add(sweep(bar, radius=R), material="pull", name="handle")
-badge = (px + 0.001, 0, 0.16)
-flap.add(
-    cylinder(0.05, 0.002), at=badge, rpy=(0, math.pi / 2, 0), role="visual", rgb=(0.45, 0.45, 0.44)
+px = door.anchor("front")[0]
+R, HALF, BAR_Z = 0.02, Y / 2 - 0.03, 0.61
+bar_x = px + PULL - R
+door.add(
+    sweep(
+        [
+            (px - 0.003, -HALF, BAR_Z),
+            (bar_x, -HALF, BAR_Z),
+            (bar_x, HALF, BAR_Z),
+            (px - 0.003, HALF, BAR_Z),
+        ],
+        radius=R,
+    ),
+    material=bright,
+    name="handle",
+)
+
+
+# The emblem near the lower edge: a hexagonal ring.
+def hexagon(radius):
+    return [
+        (radius * math.cos(a), radius * math.sin(a))
+        for a in (math.pi / 6 + i * math.pi / 3 for i in range(6))
+    ]
+
+
+door.add(
+    extrusion(hexagon(0.05), 0.003, holes=[hexagon(0.035)]),
+    at=(px + 0.001, 0.01, 0.13),
+    rpy=(math.pi / 2, 0, math.pi / 2),
+    role="visual",
+    rgb=(0.55, 0.55, 0.55),
+    name="emblem",
 )

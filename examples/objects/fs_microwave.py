@@ -1,65 +1,96 @@
-# Written by hand through the mailbox, from a picture of the object alone.
 import math
 
-from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, hollow_box, sweep
+from neoworld_mjx.program.sdk import Object, box, difference, extrusion, hollow_box, sweep
 
-# Microwave oven, given box 0.375 x 0.52 x 0.29 m: a door with a window, hinged on the viewer's left
-# (-y), its handle beside the control panel; a plate turns inside.
-X, Y, Z = 0.375, 0.52, 0.29
-PULL, FRONT, WALL = 0.042, 0.03, 0.012
-DEPTH = X - PULL - FRONT
-SPLIT = 0.17  # between door and control panel, along y
+# Microwave, given box 0.37 x 0.50 x 0.27 m: door hinged on its right (-y, the picture's left),
+# controls at +y.
+X, Y, Z = 0.37, 0.50, 0.27
+FRONT, PULL, WALL, GAP = 0.035, 0.055, 0.012, 0.0012
+DEPTH = X - FRONT - PULL - GAP
+SEAM = -Y / 2 + 0.385  # between door and control panel
+R = 0.013
 
-oven = Object("microwave", label="black microwave oven")
-# Sheet metal and plastic over air.
-oven.material("case", like="plastic", density=700, rgb=(0.10, 0.10, 0.10))
-oven.material("pane", like="glass", rgb=(0.16, 0.16, 0.16))
-oven.material("pull", like="aluminium", density=1500, rgb=(0.62, 0.62, 0.61))
-body = oven.part("body", material="case")
-shell = body.add(hollow_box((DEPTH, Y, Z), WALL, open="+x"), by="bottom", name="shell")
-x = shell.anchor("front")[0]
-body.add(box((DEPTH - WALL, 0.01, Z - 2 * WALL)), at=(WALL / 2, SPLIT, Z / 2), name="divider")
-panel = body.add(
-    box((FRONT, Y / 2 - SPLIT - 0.002, Z)), at=(x, Y / 2, 0), by="back.left.bottom", name="controls"
+oven = Object("fs_microwave", label="microwave oven")
+black = oven.material("black_enamel", like="abs", rgb=(0.17, 0.17, 0.17), roughness=0.7)
+metal = oven.material(
+    "grey_metal", like="aluminium", rgb=(0.62, 0.62, 0.62), metallic=0.2, roughness=0.6
 )
-px, py, _ = panel.anchor("front")
-body.add(
-    box((0.001, 0.07, 0.19)), at=(px, py, 0.165), role="visual", rgb=(0.13, 0.13, 0.13), name="keys"
+dark_glass = oven.material("dark_glass", like="glass", rgb=(0.24, 0.24, 0.24), alpha=0.75)
+
+body = oven.part("body", material=black, mass=10)
+cavity = body.add(
+    hollow_box((DEPTH, SEAM + Y / 2, Z), WALL, open="+x"),
+    at=(0, -Y / 2, 0),
+    by="right.bottom",
+    name="cavity",
 )
+x = cavity.anchor("front")[0]
+PANEL_W = Y / 2 - SEAM
 body.add(
-    box((0.002, 0.07, 0.026)),
-    at=(px, py, 0.035),
+    hollow_box((DEPTH, PANEL_W, Z), WALL, open="+x"),
+    at=(0, SEAM, 0),
+    by="right.bottom",
+    name="compartment",
+)
+
+# Control panel, flush with the door, with a pocket for the button bar.
+panel_y = SEAM + PANEL_W / 2
+BUTTON = (0.010, 0.088, 0.026)
+BUTTON_Z = 0.021
+face = x + GAP + FRONT
+panel = box((FRONT + GAP + 0.002, PANEL_W, Z)).moved(
+    (face - (FRONT + GAP + 0.002) / 2, panel_y, Z / 2)
+)
+pocket = box((0.022, BUTTON[1] + 0.0015, BUTTON[2] + 0.0015)).moved((face, panel_y, BUTTON_Z))
+body.add(difference(panel, pocket), name="control_panel")
+body.add(
+    box((0.002, 0.090, 0.182)),
+    at=(face + 0.0002, panel_y, 0.129),
     role="visual",
-    rgb=(0.55, 0.55, 0.54),
-    name="strip",
-)
-
-plate = oven.part("plate", material="glass")
-MID = (-Y / 2 + WALL + SPLIT) / 2
-hub = plate.add(cylinder(0.02, 0.012), at=(0, MID, WALL + 0.001), by="bottom", name="hub")
-plate.add(cylinder(0.125, 0.006), at=hub.anchor("top"), by="bottom", name="disc")
-oven.continuous("turn", body, plate, at=hub.anchor("centre"), axis=(0, 0, 1))
-
-door = oven.part("door", material="case")
-low, high = -Y / 2, SPLIT - 0.002
-outline = [(low, 0), (high, 0), (high, Z), (low, Z)]
-WINDOW = [(-0.175, 0.055), (0.085, 0.055), (0.085, 0.235), (-0.175, 0.235)]
-# The outline's (x, y) become (y, z), its height x.
-upright = (math.pi / 2, 0, math.pi / 2)
-frame = door.add(
-    extrusion(outline, FRONT - 0.0005, holes=[WINDOW]),
-    at=(x + FRONT / 2 + 0.00025, 0, 0),
-    rpy=upright,
+    rgb=(0.10, 0.10, 0.10),
     name="frame",
 )
-door.add(box((0.006, 0.262, 0.182)), at=(x + 0.008, -0.045, 0.145), material="pane", name="window")
-fx = x + FRONT
-R, H = 0.013, 0.10
-bar = [
-    (fx - 0.004, 0.128, 0.145 - H),
-    (fx + PULL - R, 0.128, 0.145 - H),
-    (fx + PULL - R, 0.128, 0.145 + H),
-    (fx - 0.004, 0.128, 0.145 + H),
-]
-door.add(sweep(bar, radius=R), material="pull", name="handle")
-oven.revolute("hinge", body, door, at=frame.anchor("right.back"), axis=(0, 0, -1), range=(0, 1.57))
+body.add(
+    box((0.002, 0.086, 0.178)),
+    at=(face + 0.0006, panel_y, 0.129),
+    role="visual",
+    rgb=(0.17, 0.17, 0.17),
+    name="keypad",
+)
+
+button = oven.part("button", material=metal)
+button.add(box(BUTTON), at=(face + 0.002, panel_y, BUTTON_Z), by="front", name="bar")
+oven.prismatic("button_press", body, button, axis="back", range=(0, 0.0015), opens="back")
+
+# Door: a frame around a recessed window of dark glass.
+door = oven.part("door", material=black)
+low, high = -Y / 2, SEAM - 0.001
+wy, wz = (-Y / 2 + 0.066, -Y / 2 + 0.323), (0.045, 0.223)
+outline = [(low, 0.001), (high, 0.001), (high, Z), (low, Z)]
+window = [(wy[0], wz[0]), (wy[1], wz[0]), (wy[1], wz[1]), (wy[0], wz[1])]
+door.add(
+    extrusion(outline, FRONT, holes=[window]),
+    at=(x + GAP + FRONT / 2, 0, 0),
+    rpy=(math.pi / 2, 0, math.pi / 2),
+    name="door_frame",
+)
+door.add(
+    box((0.005, wy[1] - wy[0] + 0.004, wz[1] - wz[0] + 0.004)),
+    at=(x + GAP + 0.009, (wy[0] + wy[1]) / 2, (wz[0] + wz[1]) / 2),
+    by="back",
+    material=dark_glass,
+    name="window",
+)
+oven.revolute(
+    "door_hinge",
+    body,
+    door,
+    at=(x + GAP, low, Z / 2),
+    axis=(0, 0, -1),
+    range=(0, 1.57),
+    opens="front",
+)
+
+hy, out = -Y / 2 + 0.350, face + PULL - R
+path = [(face - 0.003, hy, 0.227), (out, hy, 0.227), (out, hy, 0.032), (face - 0.003, hy, 0.032)]
+door.add(sweep(path, radius=R), material=metal, name="handle")

@@ -1,119 +1,205 @@
-# Written by hand through the mailbox, from a picture of the object alone.
 import math
 
-from neoworld_mjx.program.sdk import Object, box, cylinder, grid, hollow_box, tube
+from neoworld_mjx.program.sdk import (
+    Object,
+    box,
+    capsule,
+    cylinder,
+    extrusion,
+    hollow_box,
+    mirror,
+    tube,
+)
 
-# Kitchen range, given box 0.74 x 0.557 x 1.335 m: an oven with a flap, a drawer under it, four
-# burners; above it, held to the wall, a box with four knobs and a toggle lever.
-Y, TOP, Z = 0.557, 0.90, 1.335
-DEPTH, FRONT, PULL = 0.67, 0.03, 0.04
-LOW, HIGH = 0.22, 0.747  # the flap's lower and upper edge
-HOOD, REACH = 1.21, 0.374  # height of the upper box's bottom, and its depth
+# Stove with a control box above it, given box 0.74 x 0.56 x 1.40 m.
+X, Y, Z = 0.74, 0.56, 1.40
+FRONT, PULL, WALL, GAP = 0.030, 0.046, 0.040, 0.0005
+DEPTH = X - FRONT - PULL - GAP
+TOP, COOKTOP = 0.95, 0.033  # height of the cooktop's surface, its thickness
+LOW, HIGH = 0.2185, 0.772  # seams below and above the flap
+HOOD_DEPTH, HOOD_Z = 0.37, 0.133
+ALONG_X, ALONG_Y = (0, math.pi / 2, 0), (math.pi / 2, 0, 0)
+R = 0.011
 
-range_ = Object("range", label="grey kitchen range with a control box above")
-range_.material("sheet", like="steel", density=500, rgb=(0.62, 0.62, 0.61))
-range_.material("black", like="glass", density=700, rgb=(0.08, 0.08, 0.08))
-range_.material("knob_grey", like="plastic", rgb=(0.62, 0.62, 0.60))
-range_.material("bar_black", like="aluminium", density=1500, rgb=(0.08, 0.08, 0.08))
-body = range_.part("body", material="sheet")
-shell = body.add(hollow_box((DEPTH, Y, TOP - 0.02), 0.02, open="+x"), by="bottom", name="shell")
+stove = Object("fs_oven", label="stove with oven and a control box above")
+grey = stove.material(
+    "grey_steel",
+    like="insulated",
+    rgb=(0.64, 0.64, 0.64),
+    rgb2=(0.58, 0.58, 0.57),
+    pattern="speckles",
+)
+black = stove.material("black_enamel", like="abs", rgb=(0.13, 0.13, 0.13), roughness=0.7)
+metal = stove.material(
+    "knob_metal", like="aluminium", rgb=(0.62, 0.62, 0.62), metallic=0.2, roughness=0.6
+)
+rail = stove.material("wall_rail", like="aluminium", rgb=(0.85, 0.85, 0.85), metallic=0)
+
+body = stove.part("body", material=grey)
+shell = body.add(hollow_box((DEPTH, Y, TOP - COOKTOP), WALL, open="+x"), by="bottom", name="shell")
 x, back = shell.anchor("front")[0], shell.anchor("back")[0]
-cook = body.add(
-    box((DEPTH + FRONT, Y, 0.02)),
-    at=(back, 0, TOP - 0.02),
-    by="back.bottom",
-    material="black",
-    name="cooktop",
+face = x + GAP + FRONT
+inside = (-Y / 2 + WALL, Y / 2 - WALL)
+stove.shelf(body, x=(back + WALL, x), y=inside, z=LOW + 0.02, thickness=0.04, name="oven_floor")
+stove.shelf(body, x=(back + WALL, x), y=inside, z=HIGH + 0.03, thickness=0.04, name="oven_ceiling")
+body.add(
+    box((FRONT + GAP + 0.002, Y, TOP - COOKTOP - HIGH - 0.001)),
+    at=(face, 0, HIGH + 0.001),
+    by="front.bottom",
+    name="front_panel",
 )
-for px, py, _ in grid((2, 2), (0.34, 0.27), (0.0, 0, 0)):
-    ring = tube(0.075, 0.008, 0.002)
-    body.add(ring, at=(px, py, TOP), by="bottom", role="visual", rgb=(0.6, 0.6, 0.6))
-body.add(box((DEPTH - 0.02, Y - 0.04, 0.016)), at=(0.01, 0, 0.209), name="oven_floor")
-body.add(box((DEPTH - 0.02, Y - 0.04, 0.016)), at=(0.01, 0, HIGH + 0.008), name="oven_roof")
-body.add(box((FRONT, Y, TOP - 0.02 - HIGH)), at=(x, 0, HIGH), by="back.bottom", name="fascia")
-body.add(box((0.5, Y - 0.04, 0.008)), at=(0, 0, 0.45), name="rack")
-# The wall that carries the upper box is not part of it: two thin rods stand for it.
-upper = body.add(
-    box((REACH, Y - 0.01, Z - HOOD)),
-    at=(back, 0, HOOD),
-    by="back.bottom",
-    material="black",
-    name="upper_box",
+body.add(
+    box((face - back, Y, COOKTOP)), at=(back, 0, TOP), by="back.top", material=black, name="cooktop"
 )
-for side in (-0.2, 0.2):
+for i, (rx, ry) in enumerate(((-0.005, -0.127), (-0.005, 0.123), (0.247, -0.127), (0.247, 0.123))):
     body.add(
-        cylinder(0.006, HOOD - TOP), at=(back + 0.008, side, TOP), by="bottom", material="steel"
+        cylinder(0.060, 0.001),
+        at=(rx, ry, TOP),
+        role="visual",
+        material=black,
+        rgb=(0.03, 0.03, 0.03),
+        name=f"plate_{i}",
+    )
+    body.add(
+        tube(0.066, 0.008, 0.002, sectors=24),
+        at=(rx, ry, TOP),
+        role="visual",
+        rgb=(0.70, 0.70, 0.70),
+        name=f"ring_{i}",
     )
 
-flap = range_.part("flap", material="sheet")
-face = flap.add(
-    box((FRONT, Y - 0.002, HIGH - LOW - 0.004)), at=(x + 0.0005, 0, LOW + 0.002), by="back.bottom"
+# The control box hangs on the wall behind the stove; a thin rail joins the two.
+hood_low = Z - HOOD_Z
+hood = body.add(
+    hollow_box((HOOD_DEPTH, Y, HOOD_Z), 0.006, open="-x"),
+    at=(back, 0, Z),
+    by="back.top",
+    material=black,
+    name="control_box",
 )
-fx = face.anchor("front")[0]
+body.add(
+    box((0.003, 0.006, hood_low - TOP + 0.006)),
+    at=(back, 0, TOP - 0.003),
+    by="back.bottom",
+    material=rail,
+    name="rail",
+)
+hx = hood.anchor("front")[0]
+
+# Four knobs with a pointer bar.
+spots = ((-0.140, 1.367), (-0.071, 1.367), (-0.140, 1.301), (-0.071, 1.301))
+for i, (ky, kz) in enumerate(spots, 1):
+    knob = stove.part(f"knob_{i}", material=metal)
+    disc = knob.add(
+        cylinder(0.0295, 0.014), at=(hx + GAP, ky, kz), rpy=ALONG_X, by="back", name="disc"
+    )
+    knob.add(
+        box((0.013, 0.016, 0.062)),
+        at=(disc.anchor("front")[0] - 0.001, ky, kz),
+        by="back",
+        name="pointer",
+    )
+    stove.revolute(
+        f"knob_{i}_turn", body, knob, at=disc.anchor("centre"), axis=(1, 0, 0), range=(0, 4.7)
+    )
+
+# The switch: a lever on a round boss that points to the front and to the left (+y); it tips to
+# the other side.
+SY, SZ, TILT, LENGTH = -0.222, 1.338, 0.6, 0.045
+boss = body.add(
+    cylinder(0.023, 0.008),
+    at=(hx - 0.001, SY, SZ),
+    rpy=ALONG_X,
+    by="back",
+    material=metal,
+    name="switch_boss",
+)
+pivot = (boss.anchor("front")[0] + GAP + 0.011, SY, SZ)
+switch = stove.part("switch", material=metal)
+switch.add(
+    capsule(0.011, LENGTH),
+    rpy=(0, math.pi / 2, TILT),
+    name="lever",
+    at=(pivot[0] + LENGTH / 2 * math.cos(TILT), SY + LENGTH / 2 * math.sin(TILT), SZ),
+)
+stove.revolute(
+    "switch_tip", body, switch, at=pivot, axis=(0, 0, -1), range=(0, 2 * TILT), opens="right"
+)
+
+
+def add_handle(part, z):
+    part.add(
+        cylinder(R, 0.30),
+        at=(face + PULL, 0, z),
+        rpy=ALONG_Y,
+        by="front",
+        material=black,
+        name="bar",
+    )
+    for i, post in enumerate(mirror((face - 0.003, 0.11, z))):
+        part.add(
+            cylinder(0.008, PULL - R + 0.003),
+            at=post,
+            rpy=ALONG_X,
+            by="back",
+            material=black,
+            name=f"post_{i}",
+        )
+
+
+flap = stove.part("oven_door", material=grey)
 flap.add(
-    box((0.002, 0.40, 0.245)),
-    at=(fx, 0.005, 0.54),
+    box((FRONT, Y, HIGH - LOW - 0.003)),
+    at=(x + GAP, 0, LOW + 0.002),
+    by="back.bottom",
+    name="leaf",
+)
+stove.revolute(
+    "oven_door_hinge",
+    body,
+    flap,
+    at=flap.anchor("bottom.front"),
+    axis=(0, 1, 0),
+    range=(0, 1.5),
+    opens="front",
+)
+flap.add(
+    box((0.002, 0.39, 0.26)),
+    at=(face, 0.005, 0.545),
     role="visual",
-    rgb=(0.08, 0.08, 0.08),
+    material=black,
+    rgb=(0.04, 0.04, 0.04),
     name="window",
 )
+
+
+def hexagon(radius):
+    return [
+        (radius * math.cos(a), radius * math.sin(a))
+        for a in (math.pi / 6 + i * math.pi / 3 for i in range(6))
+    ]
+
+
 flap.add(
-    tube(0.065, 0.02, 0.006, sectors=6),
-    at=(fx + 0.002, 0.005, 0.54),
-    rpy=(0, math.pi / 2, 0),
+    extrusion(hexagon(0.083), 0.004, holes=[hexagon(0.054)]),
+    at=(face + 0.002, 0.007, 0.54),
+    rpy=(math.pi / 2, 0, math.pi / 2),
     role="visual",
-    rgb=(0.6, 0.6, 0.6),
-    name="badge",
+    rgb=(0.62, 0.62, 0.62),
+    name="emblem",
 )
-# Turned about its lower front edge, so that it does not dip into the drawer's front.
-range_.revolute(
-    "flap_hinge", body, flap, at=face.anchor("bottom.front"), axis=(0, 1, 0), range=(0, 1.5)
-)
-drawer = range_.drawer(
+add_handle(flap, 0.727)
+
+drawer = stove.drawer(
     "drawer",
     body,
     x=x,
-    y=(-Y / 2 + 0.02, Y / 2 - 0.02),
-    z=(0.02, 0.20),
-    depth=0.55,
+    y=inside,
+    z=(WALL, LOW - 0.0395),
+    depth=0.45,
     front=FRONT,
-    overlay=0.018,
-    travel=0.35,
+    overlay=0.039,
+    travel=0.30,
+    material=grey,
 )
-along = (math.pi / 2, 0, 0)
-outward = (0, math.pi / 2, 0)
-for part, z in ((flap, 0.71), (drawer, 0.165)):
-    part.add(cylinder(0.011, 0.33), at=(fx + PULL - 0.011, 0, z), rpy=along, material="bar_black")
-    for side in (-0.12, 0.12):
-        part.add(
-            cylinder(0.008, PULL - 0.007),
-            at=(fx - 0.004, side, z),
-            rpy=outward,
-            by="back",
-            material="bar_black",
-        )
-
-ux = upper.anchor("front")[0]
-for name, y, z in (
-    ("knob_upper_a", -0.144, 1.302),
-    ("knob_upper_b", -0.077, 1.302),
-    ("knob_lower_a", -0.144, 1.243),
-    ("knob_lower_b", -0.077, 1.243),
-):
-    knob = range_.part(name, material="knob_grey")
-    disc = knob.add(cylinder(0.0285, 0.012), at=(ux + 0.0008, y, z), rpy=outward, by="back")
-    knob.add(box((0.016, 0.012, 0.056)), at=disc.anchor("front"), by="back")
-    range_.revolute(
-        name + "_turn", body, knob, at=disc.anchor("centre"), axis=(-1, 0, 0), range=(0, 1.57)
-    )
-
-lever = range_.part("lever", material="knob_grey")
-pivot = (ux + 0.013, -0.233, 1.272)
-lever.add(cylinder(0.012, 0.024), at=pivot, rpy=(0, 0, 0), name="boss")
-# It points half to the left (+y) and swings over to the other side.
-lever.add(
-    cylinder(0.0085, 0.06),
-    at=(pivot[0] + 0.021, pivot[1] + 0.021, pivot[2]),
-    rpy=(0, math.pi / 2, math.pi / 4),
-)
-range_.revolute("toggle", body, lever, at=pivot, axis=(0, 0, -1), range=(0, 1.4))
+add_handle(drawer, 0.172)

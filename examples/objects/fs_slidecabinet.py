@@ -1,45 +1,53 @@
-# Written by hand through the mailbox, from a picture of the object alone.
-import math
-
 from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box
 
-# Cabinet, given box 0.53 x 0.68 x 0.30 m: its right half (+y) is closed by a fixed panel, its left
-# half by a panel that slides to the right in front of that.
-X, Y, Z = 0.53, 0.68, 0.30
-PULL, FRONT, WALL = 0.065, 0.024, 0.018
-DEPTH = X - PULL - FRONT
+# Cabinet, given box 0.64 x 0.78 x 0.35 m: a sliding door in front of the half at -y (the picture's
+# left); a fixed panel, flush with the carcass, closes the other half.
+X, Y, Z = 0.64, 0.78, 0.35
+WALL, FRONT, PULL, GAP = 0.018, 0.050, 0.085, 0.001
+DEPTH = X - FRONT - PULL - GAP
+WIDTH = 0.405  # of the door
+R = 0.02
 
-cabinet = Object("cabinet", label="wooden cabinet with a sliding door")
-cabinet.material("warm_wood", like="pine", rgb=(0.72, 0.43, 0.18))
-cabinet.material("grey_metal", like="aluminium", density=2000, rgb=(0.60, 0.61, 0.61))
-carcass = cabinet.part("carcass", material="warm_wood")
+cabinet = Object("fs_slidecabinet", label="wall cabinet with a sliding door")
+wood = cabinet.material(
+    "warm_wood",
+    like="oak",
+    rgb=(0.68, 0.43, 0.21),
+    rgb2=(0.40, 0.23, 0.10),
+    pattern="grain",
+    along="y",
+)
+metal = cabinet.material(
+    "grey_metal", like="aluminium", rgb=(0.62, 0.62, 0.62), metallic=0.2, roughness=0.6
+)
+
+carcass = cabinet.part("carcass", material=wood)
 shell = carcass.add(hollow_box((DEPTH, Y, Z), WALL, open="+x"), by="bottom", name="shell")
 x = shell.anchor("front")[0]
-half = box((WALL, Y / 2 - WALL, Z - 2 * WALL))
-carcass.add(half, at=(x, 0, WALL), by="front.right.bottom", name="fixed_panel")
+edge = -Y / 2 + WIDTH  # the door's inner edge
+panel_low = edge - 0.02
+carcass.add(
+    box((WALL, Y / 2 - WALL - panel_low, Z - 2 * WALL)),
+    at=(x, panel_low, Z / 2),
+    by="front.right",
+    name="fixed_panel",
+)
 
-door = cabinet.part("sliding_door", material="warm_wood")
-low, high = -Y / 2, 0.035
-panel = door.add(
-    box((FRONT - 0.001, high - low, Z - 0.006)),
-    at=(x + 0.001, low, 0),
-    by="back.right.bottom",
-    name="panel",
-)
-px = panel.anchor("front")[0]
+door = cabinet.part("door", material=wood)
 door.add(
-    cylinder(0.0165, 0.25),
-    at=(px + PULL - 0.0165, low + 0.05, Z / 2),
-    material="grey_metal",
-    name="bar",
+    box((FRONT, WIDTH, Z - 0.002)), at=(x + GAP, -Y / 2, 0.001), by="back.right.bottom", name="leaf"
 )
-for up in (-0.085, 0.085):
-    post = (px - 0.004, low + 0.05, Z / 2 + up)
+cabinet.prismatic("door_slide", carcass, door, axis="left", range=(0, Y - WIDTH), opens="left")
+
+px = x + GAP + FRONT
+bar_x, bar_y = px + PULL - R, -Y / 2 + 0.041
+door.add(cylinder(R, 0.285), at=(bar_x, bar_y, 0.16), material=metal, name="bar")
+for i, z in enumerate((0.055, 0.262)):
     door.add(
-        cylinder(0.012, PULL - 0.013),
-        at=post,
-        rpy=(0, math.pi / 2, 0),
+        cylinder(0.015, PULL - R + 0.003),
+        at=(px - 0.003, bar_y, z),
+        rpy=(0, 1.5708, 0),
         by="back",
-        material="grey_metal",
+        material=metal,
+        name=f"post_{i}",
     )
-cabinet.prismatic("slide", carcass, door, axis=(0, 1, 0), range=(0, 0.30))

@@ -1,39 +1,56 @@
-# Written by hand through the mailbox, from a picture of the object alone.
-from neoworld_mjx.program.sdk import Object, box, hollow_box, sweep
+from neoworld_mjx.program.sdk import Object, box, hollow_box, mirror
 
-# Wall cabinet, given box 0.36 x 0.90 x 0.72 m: a front of two flaps that folds upwards. Only the
-# lower flap has a handle: pulling it lifts the upper one, and the two fold together.
+# Wall cabinet, box 0.36 x 0.90 x 0.72 m: a bifold of two fronts that lifts up.
 X, Y, Z = 0.36, 0.90, 0.72
-PULL, FRONT, WALL = 0.028, 0.018, 0.018
-DEPTH = X - PULL - FRONT
-SPLIT = 0.355
+WALL, FRONT, PULL, GAP = 0.018, 0.018, 0.034, 0.001
+DEPTH = X - FRONT - PULL - GAP
+SPLIT = Z / 2
 
-cabinet = Object("cabinet", label="grey wall cabinet with a folding front")
-cabinet.material("light", like="chipboard", rgb=(0.72, 0.72, 0.72))
-cabinet.material("front", like="mdf", rgb=(0.66, 0.66, 0.66))
-carcass = cabinet.part("carcass", material="light")
-shell = carcass.add(hollow_box((DEPTH, Y, Z), WALL, open="+x"), by="bottom")
-carcass.add(box((DEPTH - 0.03, Y - 2 * WALL, WALL)), at=(0, 0, SPLIT), name="shelf")
-x = shell.anchor("front")[0] + 0.0005
-
-upper = cabinet.part("upper_flap", material="front")
-high = upper.add(box((FRONT, Y - 0.002, Z - SPLIT - 0.002)), at=(x, 0, Z - 0.001), by="top.back")
-lift = cabinet.revolute(
-    "lift", carcass, upper, at=high.anchor("top.back"), axis=(0, -1, 0), range=(0, 1.5)
+cab = Object("ia_cabinet4", label="wall cabinet with a bifold lift-up front")
+grey = cab.material("light_grey", like="mdf", rgb=(0.74, 0.74, 0.74))
+metal = cab.material(
+    "matt_metal", like="steel", rgb=(0.78, 0.78, 0.78), metallic=0.1, roughness=0.6
 )
-lower = cabinet.part("lower_flap", material="front")
-low = lower.add(box((FRONT, Y - 0.002, SPLIT - 0.002)), at=(x, 0, SPLIT - 0.001), by="top.back")
-# The lower flap folds back under the upper one, faster than that rises.
-cabinet.revolute(
+
+carcass = cab.part("carcass", material=grey)
+shell = carcass.add(hollow_box((DEPTH, Y, Z), WALL, open="+x"), by="bottom")
+x, back = shell.anchor("front")[0], shell.anchor("back")[0]
+cab.shelf(
+    carcass, x=(back + WALL, x - 0.02), y=(-Y / 2 + WALL, Y / 2 - WALL), z=SPLIT, thickness=WALL
+)
+
+upper = cab.part("upper_door", material=grey)
+upper.add(
+    box((FRONT, Y, Z - SPLIT - 0.00075)), at=(x + GAP, 0, Z), by="back.top", name="upper_panel"
+)
+lift = cab.revolute(
+    "lift",
+    carcass,
+    upper,
+    at=upper.anchor("top.back"),
+    axis=(0, -1, 0),
+    range=(0, 1.5),
+    friction=12,
+)
+
+lower = cab.part("lower_door", material=grey)
+lower.add(
+    box((FRONT, Y, SPLIT - 0.00075)), at=(x + GAP, 0, 0), by="back.bottom", name="lower_panel"
+)
+cab.revolute(
     "fold",
     upper,
     lower,
-    at=low.anchor("top.back"),
+    at=lower.anchor("top.back"),
     axis=(0, 1, 0),
-    range=(0, 2.4),
+    range=(0, 2.25),
     mimic=lift,
-    multiplier=1.6,
+    multiplier=1.5,
 )
-px, W, H = low.anchor("front")[0], 0.08, 0.05
-bar = [(px - 0.002, -W, H), (px + 0.023, -W, H), (px + 0.023, W, H), (px - 0.002, W, H)]
-lower.add(sweep(bar, radius=0.005), material="steel", name="handle")
+
+# Bar handle of square section near the lower edge.
+px = lower.anchor("front")[0]
+HZ, LENGTH, BAR = 0.07, 0.17, 0.012
+lower.add(box((BAR, LENGTH, BAR)), at=(px + PULL, 0, HZ), by="front", material=metal, name="bar")
+for post in mirror((px - 0.003, LENGTH / 2 - BAR / 2, HZ)):
+    lower.add(box((PULL - 0.006, BAR, BAR)), at=post, by="back", material=metal)

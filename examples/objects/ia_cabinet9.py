@@ -1,42 +1,48 @@
-# Written by hand through the mailbox, from a picture of the object alone.
-from neoworld_mjx.program.sdk import Object, box, hollow_box, sweep
+from neoworld_mjx.program.sdk import Object, box, hollow_box, mirror
 
-# Base cabinet without a worktop, given box 0.545 x 0.60 x 0.75 m: three drawers, low, middle and
-# high, whose fronts cover the whole carcass.
-X, Y, Z = 0.545, 0.60, 0.75
-PULL, FRONT, WALL = 0.03, 0.018, 0.018
-DEPTH = X - PULL - FRONT
+# Base cabinet, box 0.60 x 0.60 x 0.78 m: open at the top between two rails, three drawers.
+X, Y, Z = 0.60, 0.60, 0.78
+WALL, FRONT, PULL, GAP = 0.018, 0.018, 0.034, 0.001
+DEPTH = X - FRONT - PULL - GAP
 
-cabinet = Object("cabinet", label="grey base cabinet with three drawers, open at the top")
-cabinet.material("light", like="chipboard", rgb=(0.72, 0.72, 0.72))
-cabinet.material("front", like="mdf", rgb=(0.66, 0.66, 0.66))
-carcass = cabinet.part("carcass", material="light")
-shell = carcass.add(hollow_box((DEPTH, Y, Z), WALL, open=["+x", "+z"]), by="bottom", name="shell")
+cab = Object("ia_cabinet9", label="base cabinet with three drawers")
+grey = cab.material("light_grey", like="mdf", rgb=(0.74, 0.74, 0.74))
+pale = cab.material("pale_tray", like="chipboard", rgb=(0.82, 0.82, 0.82))
+metal = cab.material(
+    "matt_metal", like="steel", rgb=(0.78, 0.78, 0.78), metallic=0.1, roughness=0.6
+)
+
+carcass = cab.part("carcass", material=grey)
+shell = carcass.add(hollow_box((DEPTH, Y, Z), WALL, open=["+x", "+z"]), by="bottom")
 x, back = shell.anchor("front")[0], shell.anchor("back")[0]
-# Two rails hold the sides together at the top.
-rail = box((0.10, Y - 2 * WALL, WALL))
-carcass.add(rail, at=(x, 0, Z), by="front.top", name="front_rail")
-carcass.add(rail, at=(back + WALL, 0, Z), by="back.top", name="back_rail")
+inside = Y - 2 * WALL
+carcass.add(box((0.072, inside, WALL)), at=(x, 0, Z), by="front.top", name="front_rail")
+carcass.add(box((0.095, inside, WALL)), at=(back + WALL, 0, Z), by="back.top", name="rear_rail")
 
-OVER = WALL - 0.001
-inside = (-Y / 2 + WALL, Y / 2 - WALL)
-for name, low, high, grip in (
-    ("bottom_drawer", 0.0, 0.372, 0.325),
-    ("middle_drawer", 0.375, 0.617, 0.585),
-    ("top_drawer", 0.62, Z, 0.722),
+# name, lower and upper edge of the front, height of the tray
+HIGH = [0, 0.505 * Z, 0.834 * Z, Z]
+TRAY = DEPTH - WALL - 0.012
+for name, low, high, deep in (
+    ("bottom_drawer", HIGH[0], HIGH[1], 0.20),
+    ("middle_drawer", HIGH[1], HIGH[2], 0.16),
+    ("top_drawer", HIGH[2], HIGH[3], 0.08),
 ):
-    z = (low + OVER + 0.001, high - OVER - 0.001)
-    drawer = cabinet.drawer(
-        name,
-        carcass,
-        x=x,
-        y=inside,
-        z=z,
-        depth=DEPTH - WALL - 0.02,
-        front=FRONT,
-        overlay=OVER,
-        material="front",
+    drawer = cab.part(name, material=grey)
+    drawer.add(
+        box((FRONT, Y - 0.002, high - low - 0.002)),
+        at=(x + GAP, 0, (low + high) / 2),
+        by="back",
+        name="front",
     )
-    px, W, R = drawer.anchor("front")[0], 0.09, PULL - 0.005
-    bar = [(px - 0.002, -W, grip), (px + R, -W, grip), (px + R, W, grip), (px - 0.002, W, grip)]
-    drawer.add(sweep(bar, width=0.012, thickness=0.010), material="steel", name=name + "_handle")
+    tray = hollow_box((TRAY, inside - 0.003, deep), 0.012, open="+z")
+    drawer.add(tray, at=(x + GAP, 0, low + 0.022), by="front.bottom", material=pale, name="tray")
+    px = drawer.anchor("front")[0]
+    hz, length, bar = high - 0.040, 0.19, 0.012
+    drawer.add(
+        box((bar, length, bar)), at=(px + PULL, 0, hz), by="front", material=metal, name="bar"
+    )
+    for post in mirror((px - 0.003, length / 2 - bar / 2, hz)):
+        drawer.add(box((PULL - 0.006, bar, bar)), at=post, by="back", material=metal)
+    cab.prismatic(
+        name + "_slide", carcass, drawer, axis=(1, 0, 0), range=(0, 0.7 * TRAY), opens="front"
+    )

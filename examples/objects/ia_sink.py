@@ -1,70 +1,97 @@
-# Written by hand through the mailbox, from a picture of the object alone.
 import math
 
 from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, sweep
 
-# Sink with a tap, given box 0.53 x 0.50 x 0.60 m: the tap stands behind the basin (-x), its spout
-# points to the front over it.
-X, Y, DEEP, Z = 0.44, 0.50, 0.205, 0.60  # of the basin with its rim; the whole height
-RIM, WALL = 0.018, 0.003
-TAP = -X / 2 - 0.06
+# Sink, box 0.44 x 0.48 x 0.465 m: open bowl with a flat rim, faucet beside the rim at -y.
+X, Y, Z = 0.44, 0.48, 0.465
+RIM_Y = 0.408  # width of the rim
+H = 0.190  # height of the bowl
+RIM, WALL, CORNER = 0.018, 0.002, 0.025
+
+sink = Object("ia_sink", label="kitchen sink with faucet")
+steel = sink.material(
+    "matt_steel", like="stainless_steel", rgb=(0.68, 0.68, 0.68), metallic=0.3, roughness=0.5
+)
 
 
 def rounded(x, y, r):
+    """Outline of a rectangle with round corners."""
     points = []
-    for k in range(12):
-        a = math.pi / 6 * (k + 0.5)
-        sx = 1 if math.cos(a) > 0 else -1
-        sy = 1 if math.sin(a) > 0 else -1
-        points.append((sx * (x / 2 - r) + r * math.cos(a), sy * (y / 2 - r) + r * math.sin(a)))
+    for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        for i in range(4):
+            a = math.pi / 2 * (k + i / 3)
+            points.append((sx * (x / 2 - r) + r * math.cos(a), sy * (y / 2 - r) + r * math.sin(a)))
     return points
 
 
-sink = Object("sink", label="steel sink with a tap")
-sink.material("brushed", like="stainless_steel", rgb=(0.74, 0.74, 0.74))
-# A tap is hollow brass: two thirds of its volume are water and air.
-sink.material("chrome", like="stainless_steel", density=2600, rgb=(0.78, 0.78, 0.78))
-basin = sink.part("basin", material="brushed")
-x, y = X - 2 * RIM, Y - 2 * RIM
-outer, inner = rounded(x, y, 0.035), rounded(x - 2 * WALL, y - 2 * WALL, 0.032)
-basin.add(extrusion(outer, WALL), at=(0, 0, 0), by="bottom", name="floor")
-basin.add(extrusion(outer, DEEP, holes=[inner]), at=(0, 0, 0), by="bottom", name="walls")
-basin.add(
-    extrusion(rounded(X, Y, 0.02), 0.004, holes=[inner]), at=(0, 0, DEEP), by="top", name="rim"
+cy = Y / 2 - RIM_Y / 2  # middle of the bowl; the box is centred at y = 0
+bx, by = X - 2 * RIM, RIM_Y - 2 * RIM  # outer size of the bowl
+inner = rounded(bx - 2 * WALL, by - 2 * WALL, CORNER - WALL)
+
+body = sink.part("body", material=steel)
+body.add(
+    extrusion(rounded(bx, by, CORNER), H - 0.010, holes=[inner]),
+    at=(0, cy, 0.010),
+    by="bottom",
+    name="walls",
 )
-basin.add(cylinder(0.045, 0.004), at=(0, 0, WALL), by="bottom", role="visual", rgb=(0.5, 0.5, 0.5))
-# The tap stands on the worktop; a tongue of sheet holds it where that is missing.
-basin.add(box((0.10, 0.06, 0.004)), at=(-X / 2 + 0.01, 0, DEEP), by="top.front", name="tongue")
-basin.add(cylinder(0.025, 0.012), at=(TAP, 0, DEEP), by="bottom", material="chrome", name="foot")
-neck = basin.add(
-    cylinder(0.02, 0.13), at=(TAP, 0, DEEP), by="bottom", material="chrome", name="neck"
+# Chamfered lower edge and floor
+low = rounded(bx - 0.016, by - 0.016, CORNER - 0.006)
+body.add(
+    extrusion(rounded(bx - 0.002, by - 0.002, CORNER), 0.006),
+    at=(0, cy, 0.006),
+    by="bottom",
+    name="floor",
 )
-across = (math.pi / 2, 0, 0)
-basin.add(
-    cylinder(0.022, 0.085),
-    at=(TAP, -0.005, DEEP + 0.09),
-    rpy=across,
-    material="chrome",
-    name="crosspiece",
+body.add(extrusion(low, 0.0065), at=(0, cy, 0), by="bottom", name="underside")
+body.add(
+    extrusion(rounded(X, RIM_Y, 0.012), 0.004, holes=[inner]), at=(0, cy, H), by="top", name="rim"
+)
+body.add(
+    cylinder(0.04, 0.002),
+    at=(0, cy, 0.012),
+    by="bottom",
+    rgb=(0.6, 0.6, 0.6),
+    role="visual",
+    name="drain",
 )
 
-handle = sink.part("handle", material="chrome")
-knob = handle.add(
-    cylinder(0.026, 0.018), at=(TAP, 0.0382, DEEP + 0.09), rpy=across, by="right", name="knob"
+# Foot of the faucet, joined to the rim by a thin bar at its level.
+fx, fy = 0.01, -Y / 2 + 0.022
+edge = cy - RIM_Y / 2
+body.add(box((0.03, edge - fy + 0.006, 0.002)), at=(fx, fy, H), by="right.top", name="bridge")
+body.add(cylinder(0.021, 0.008), at=(fx, fy, H - 0.002), by="bottom", name="ring")
+body.add(cylinder(0.0185, 0.076), at=(fx, fy, H), by="bottom", name="foot")
+cz = H + 0.055
+body.add(
+    cylinder(0.020, 0.045),
+    at=(fx + 0.025, fy, cz),
+    rpy=(0, math.pi / 2, 0),
+    by="front",
+    name="cross",
 )
-handle.add(cylinder(0.004, 0.05), at=(TAP, 0.047, DEEP + 0.11), by="bottom", name="stick")
-sink.revolute("mix", basin, handle, at=knob.anchor("centre"), axis=(0, -1, 0), range=(-0.8, 0.8))
 
-spout = sink.part("spout", material="chrome")
-top = Z - 0.02
-foot = DEEP + 0.1305
+spout = sink.part("spout", material=steel, mass=0.7)
+r = 0.0150
+top, low = Z - r + 0.0003, H + 0.0765
 path = [
-    (TAP, 0, foot),
-    (TAP, 0, top - 0.07),
-    (TAP + 0.02, 0, top - 0.02),
-    (TAP + 0.07, 0, top),
-    (TAP + 0.28, 0, top),
+    (fx, fy, low),
+    (fx, fy, top - 0.057),
+    (fx, fy + 0.009, top - 0.026),
+    (fx, fy + 0.034, top - 0.006),
+    (fx, fy + 0.060, top),
+    (fx, fy + 0.212, top),
 ]
-spout.add(sweep(path, radius=0.0195, smooth=2), name="arm")
-spout.add(cylinder(0.012, 0.015), at=(TAP + 0.26, 0, top - 0.017), by="top", name="outlet")
-sink.revolute("swivel", basin, spout, at=(TAP, 0, foot), axis=(0, 0, 1), range=(-1.57, 1.57))
+pipe = spout.add(sweep(path, radius=r), name="pipe")
+spout.add(cylinder(0.008, 0.012), at=(fx, fy + 0.198, top - r + 0.003), by="top", name="nozzle")
+sink.revolute("swivel", body, spout, at=(fx, fy, low + 0.02), axis=(0, 0, 1), range=(-1.57, 1.57))
+
+handle = sink.part("handle", material=steel)
+knob = handle.add(
+    cylinder(0.022, 0.036),
+    at=(fx + 0.025 - 0.045 - 0.0007, fy, cz),
+    rpy=(0, math.pi / 2, 0),
+    by="front",
+    name="knob",
+)
+sink.revolute("turn", body, handle, at=knob.anchor("centre"), axis=(1, 0, 0), range=(0, 1.57))

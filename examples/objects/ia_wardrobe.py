@@ -1,34 +1,42 @@
-# Written by hand through the mailbox, from a picture of the object alone.
-from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box, sweep
+from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box, mirror
 
-# Wardrobe, given box 0.56 x 1.08 x 2.00 m: two tall doors that meet in the middle, on four short
-# legs.
-X, Y, Z = 0.56, 1.08, 2.00
-PULL, FRONT, WALL, LEG = 0.035, 0.020, 0.020, 0.12
-DEPTH = X - PULL - FRONT
+# Wardrobe, box 0.55 x 1.03 x 1.80 m: two hinged doors, four square feet.
+X, Y, Z = 0.55, 1.03, 1.80
+WALL, FRONT, PULL, GAP = 0.018, 0.018, 0.042, 0.001
+DEPTH = X - FRONT - PULL - GAP
+FOOT, LEG, INSET = 0.15, 0.08, 0.042
 
-wardrobe = Object("wardrobe", label="black wardrobe with two doors")
-wardrobe.material("dark", like="chipboard", rgb=(0.10, 0.10, 0.10))
-wardrobe.material("black", like="plastic", rgb=(0.02, 0.02, 0.02))
-carcass = wardrobe.part("carcass", material="dark")
-shell = carcass.add(
-    hollow_box((DEPTH, Y, Z - LEG), WALL, open="+x"), at=(0, 0, LEG), by="bottom", name="shell"
+w = Object("ia_wardrobe", label="black wardrobe")
+black = w.material("black_board", like="mdf", rgb=(0.20, 0.20, 0.20))
+jet = w.material("black_metal", like="steel", rgb=(0.02, 0.02, 0.02), metallic=0.0, roughness=0.7)
+
+carcass = w.part("carcass", material=black)
+shell = carcass.add(hollow_box((DEPTH, Y, Z - FOOT), WALL, open="+x"), at=(0, 0, FOOT), by="bottom")
+x, back = shell.anchor("front")[0], shell.anchor("back")[0]
+inside = (-Y / 2 + WALL, Y / 2 - WALL)
+w.shelf(carcass, x=(back + WALL, x - 0.02), y=inside, z=Z - 0.32, thickness=WALL)
+carcass.add(
+    cylinder(0.0125, Y - 2 * WALL),
+    at=((x + back) / 2, 0, Z - 0.40),
+    rpy=(1.5708, 0, 0),
+    material="steel",
+    name="rail",
 )
-x = shell.anchor("front")[0]
-for k, (sx, sy) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
-    foot = (sx * (DEPTH / 2 - 0.045), sy * (Y / 2 - 0.05), 0)
-    carcass.add(
-        box((0.08, 0.08, LEG + 0.005)), at=foot, by="bottom", material="black", name=f"leg_{k}"
-    )
-carcass.add(box((DEPTH - 0.05, Y - 2 * WALL, WALL)), at=(0, 0, 1.72), name="shelf")
-rod = cylinder(0.0125, Y - 2 * WALL + 0.004)
-carcass.add(rod, at=(0, 0, 1.64), rpy=(1.5708, 0, 0), material="steel", name="clothes_rail")
+ly = Y / 2 - INSET - LEG / 2
+for lx in (x + FRONT - INSET - LEG / 2, back + INSET + LEG / 2):
+    for at in mirror((lx, ly, 0)):
+        carcass.add(box((LEG, LEG, FOOT)), at=at, by="bottom")
 
-for name, hinge, side in (("right_door", "right", -1), ("left_door", "left", 1)):
-    low, high = sorted((0.0, side * Y / 2))
-    door = wardrobe.door(
-        name, carcass, x=x, y=(low, high), z=(LEG, Z), hinge=hinge, thickness=FRONT
+HZ, LENGTH, BAR = 0.97, 0.135, 0.013
+for name, y, hinge, hy in (
+    ("left_door", (0, Y / 2), "left", 0.041),
+    ("right_door", (-Y / 2, 0), "right", -0.041),
+):
+    door = w.door(
+        name, carcass, x=x, y=y, z=(FOOT, Z), hinge=hinge, thickness=FRONT, material=black
     )
-    px, y, z, H, R = door.anchor("front")[0], side * 0.04, 0.95, 0.075, PULL - 0.007
-    bar = [(px - 0.002, y, z - H), (px + R, y, z - H), (px + R, y, z + H), (px - 0.002, y, z + H)]
-    door.add(sweep(bar, width=0.014, thickness=0.012), material="black", name=name + "_handle")
+    px = door.anchor("front")[0]
+    door.add(box((BAR, BAR, LENGTH)), at=(px + PULL, hy, HZ), by="front", material=jet, name="bar")
+    for end in (-1, 1):
+        at = (px - 0.003, hy, HZ + end * (LENGTH / 2 - BAR / 2))
+        door.add(box((PULL - 0.006, BAR, BAR)), at=at, by="back", material=jet)

@@ -1,46 +1,66 @@
-# Written by hand through the mailbox, from a picture of the object alone.
 import math
 
-from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion
+from neoworld_mjx.program.sdk import Object, box, cylinder, extrusion, hollow_box
 
-# Basin mixer, given box 0.163 x 0.066 x 0.162 m: a square column with a spout to the front (+x);
-# the head on it, with a lever, turns for warm and cold and tips up to open.
-U = 0.115  # height of the column; the rest is measured by it
-HALF, SPOUT = 0.215 * U, 0.13 * U
-BASE = 0.08 * U
+# Square basin mixer, box 0.172 x 0.063 x 0.16 m, origin at the middle of the base plate.
+X, Y, Z = 0.172, 0.063, 0.16
+BACK = -Y / 2
+TIP = BACK + X  # front end of the spout
+UPRIGHT = (math.pi / 2, 0, 0)  # outlines in (x, z), extruded along y
 
-tap = Object("faucet", label="white square basin mixer")
-# Hollow cast brass with a white coat.
-tap.material("white_coat", like="brass", density=4000, rgb=(0.92, 0.92, 0.90))
-body = tap.part("body", material="white_coat")
-side_on = (math.pi / 2, 0, 0)  # outlines (x, z), drawn out along y
-body.add(box((0.57 * U, 0.57 * U, BASE)), at=(0, 0, 0), by="bottom", name="plate")
-column = body.add(box((2 * HALF, 2 * HALF, U)), at=(0, 0, BASE), by="bottom", name="column")
+tap = Object("lb_basin_faucet", label="white basin mixer")
+white = tap.material(
+    "white_enamel", like="steel", density=4000, rgb=(0.93, 0.93, 0.91), metallic=0, roughness=0.35
+)
+
+body = tap.part("body", material=white)
+body.add(box((Y, Y, 0.0077)), at=(0, 0, 0), by="bottom", name="plate")
+CX, W, TOP = -0.0037, 0.051, 0.1225  # column
+body.add(
+    hollow_box((W, 0.050, TOP - 0.0075), 0.0025, open="+z"),
+    at=(CX, 0, 0.0075),
+    by="bottom",
+    name="column",
+)
+body.add(cylinder(0.0165, TOP - 0.011), at=(CX, 0, 0.0095), by="bottom", name="cartridge")
+front = CX + W / 2
 spout = [
-    (0.1 * U, 0.56 * U),
-    (0.90 * U, 0.54 * U),
-    (1.13 * U, 0.70 * U),
-    (1.13 * U, 0.78 * U),
-    (0.1 * U, 0.81 * U),
+    (front - 0.001, 0.0715),
+    (0.112, 0.0750),
+    (TIP, 0.0958),
+    (TIP, 0.1035),
+    (front - 0.001, 0.1005),
 ]
-body.add(extrusion(spout, 2 * SPOUT), at=(0, 0, BASE), rpy=side_on, name="spout")
-mouth = (1.015 * U + 0.0015, 0, BASE + 0.62 * U - 0.002)
-body.add(cylinder(0.09 * U, 0.05 * U), at=mouth, rpy=(0, math.pi - 0.635, 0), name="aerator")
-
-collar = tap.part("collar", material="white_coat")
-ring = collar.add(
-    cylinder(0.17 * U, 0.045 * U), at=(0, 0, BASE + U + 0.0005), by="bottom", name="ring"
+body.add(extrusion(spout, 0.0245), rpy=UPRIGHT, name="spout")
+slope = math.atan2(0.0958 - 0.0750, TIP - 0.112)
+mid = ((0.112 + TIP) / 2, 0, (0.0750 + 0.0958) / 2)
+nx, nz = math.sin(slope), -math.cos(slope)
+body.add(
+    cylinder(0.0115, 0.007),
+    at=(mid[0] + 0.0015 * nx, 0, mid[2] + 0.0015 * nz),
+    rpy=(0, -slope, 0),
+    name="aerator",
 )
+
+# Collar: turns for warm and cold. Head with lever: tips up on it.
+collar = tap.part("collar", material=white)
+NECK = TOP - 0.001  # just above the cartridge
+collar.add(cylinder(0.0185, 0.1276 - NECK), at=(CX, 0, NECK), by="bottom", name="ring")
+tap.revolute("turn", body, collar, at=(CX, 0, NECK), axis=(0, 0, 1), range=(-0.8, 0.8))
+
+handle = tap.part("handle", material=white)
+LOW, PIVOT = 0.1281, -0.003
+hf, hb = front, -0.0310
+head = [(PIVOT, LOW), (hf, LOW), (hf, Z), (hb, Z), (hb, LOW + (PIVOT - hb) * math.tan(0.26))]
+handle.add(extrusion(head, 0.049), rpy=UPRIGHT, name="head")
+lever = [(hf - 0.001, 0.1388), (0.0958, 0.1407), (0.0958, 0.1512), (hf - 0.001, 0.1502)]
+handle.add(extrusion(lever, 0.0097), rpy=UPRIGHT, name="lever")
 tap.revolute(
-    "temperature", body, collar, at=ring.anchor("centre"), axis=(0, 0, 1), range=(-0.8, 0.8)
+    "tip",
+    collar,
+    handle,
+    at=(PIVOT, 0, LOW),
+    axis=(0, -1, 0),
+    range=(0, 0.26),
+    friction=0.15,
 )
-
-head = tap.part("head", material="white_coat")
-z = ring.anchor("top")[2] + 0.0005
-# The bottom rises to the back from the middle on: there the head sinks when it tips.
-block = [(-HALF, 0.067 * U), (-0.01 * U, 0), (HALF, 0), (HALF, 0.275 * U), (-HALF, 0.275 * U)]
-head.add(extrusion(block, 2 * HALF), at=(0, 0, z), rpy=side_on, name="block")
-head.add(
-    box((0.58 * U, 0.10 * U, 0.10 * U)), at=(HALF - 0.002, 0, z + 0.14 * U), by="back", name="lever"
-)
-tap.revolute("open", collar, head, at=(-0.01 * U, 0, z), axis=(0, -1, 0), range=(0, 0.3))

@@ -1,56 +1,82 @@
-# Written by hand through the mailbox, from a picture of the object alone.
-import math
+from neoworld_mjx.program.sdk import Object, box, cylinder, mirror
 
-from neoworld_mjx.program.sdk import Object, box, cylinder, hollow_box
+# Bedside cabinet, box 0.465 x 0.535 x 0.45 m: three drawers with inset fronts, thick bar handles.
+X, Y, Z = 0.465, 0.535, 0.45
+TOP, LIP, OVER = 0.010, 0.018, 0.024  # top board, its overhang in front and at the sides
+SLAB = 0.422  # depth of the top board
+BACK = -X / 2
+FRONT = BACK + SLAB - LIP  # plane of the fronts and of the front edges of the sides
+W, WALL, BASE = Y - 2 * OVER, 0.018, 0.012
+DEPTH = FRONT - BACK
 
-# Chest, given box 0.47 x 0.58 x 0.50 m: three equal drawers with thick bar handles under a top that
-# laps over at the sides and in front.
-X, Y, Z = 0.47, 0.58, 0.50
-TOP, LAP, WALL, FRONT, PULL = 0.018, 0.02, 0.018, 0.018, 0.065
-DEPTH = X - FRONT - PULL
-WIDE, HIGH = Y - 2 * LAP, Z - TOP
-
-chest = Object("chest", label="white chest of three drawers")
-chest.material("white", like="mdf", rgb=(0.86, 0.86, 0.87))
-chest.material("dark_metal", like="aluminium", rgb=(0.33, 0.35, 0.35))
-carcass = chest.part("carcass", material="white")
-shell = carcass.add(hollow_box((DEPTH, WIDE, HIGH), WALL, open="+x"), by="bottom")
-x = shell.anchor("front")[0]
-carcass.add(
-    box((DEPTH + FRONT + 0.01, Y, TOP)),
-    at=(x + FRONT + 0.01, 0, HIGH),
-    by="front.bottom",
-    name="top",
+cab = Object("lb_white_cabinet", label="white cabinet with three drawers")
+white = cab.material(
+    "white_wood",
+    like="pine",
+    rgb=(0.87, 0.86, 0.85),
+    rgb2=(0.82, 0.81, 0.80),
+    pattern="grain",
+    along="y",
 )
-# The sides reach forward past the drawers' fronts, which lie between them.
-for side in (-1, 1):
-    edge = (x, side * (WIDE / 2 - WALL / 2), 0)
-    carcass.add(box((FRONT, WALL, HIGH)), at=edge, by="back.bottom")
+grey = cab.material(
+    "dark_grey_metal", like="aluminium", rgb=(0.30, 0.30, 0.30), metallic=0.1, roughness=0.6
+)
 
-inside = (-WIDE / 2 + WALL, WIDE / 2 - WALL)
-STEP = (HIGH - 2 * WALL) / 3
-for k, name in enumerate(("bottom_drawer", "middle_drawer", "top_drawer")):
-    low = WALL + k * STEP
-    # A thin floor under the upper two carries them.
-    if k:
-        carcass.add(box((DEPTH - 0.01, WIDE - 2 * WALL, 0.006)), at=(0, 0, low - 0.003))
-    z = (low + (0.004 if k else 0), low + STEP - (0.003 if k < 2 else 0) - 0.001)
-    drawer = chest.drawer(name, carcass, x=x, y=inside, z=z, depth=DEPTH - WALL - 0.01, front=FRONT)
-    px, _, pz = drawer.anchor("front")
-    bar = (px + PULL - 0.021, 0, pz)
-    drawer.add(
-        cylinder(0.02, 0.21),
-        at=bar,
-        rpy=(math.pi / 2, 0, 0),
-        material="dark_metal",
-        name=name + "_bar",
+body = cab.part("body", material=white)
+body.add(box((SLAB, Y, TOP)), at=(BACK, 0, Z), by="back.top", name="top")
+side_high = Z - TOP
+for name, y, by in (("left_side", W / 2, "left"), ("right_side", -W / 2, "right")):
+    body.add(box((DEPTH, WALL, side_high)), at=(BACK, y, 0), by=f"back.{by}.bottom", name=name)
+body.add(box((WALL, W - 2 * WALL, side_high)), at=(BACK, 0, 0), by="back.bottom", name="rear")
+body.add(box((DEPTH - 0.02, W + 0.006, 0.006)), at=(BACK, 0, 0), by="back.bottom", name="base")
+inside = W - 2 * WALL
+
+PITCH = (side_high - BASE) / 3
+TRAY = DEPTH - WALL - 0.012
+PANEL, R, POST, HANDLE = 0.018, 0.0165, 0.0105, 0.185
+PULL = X / 2 - FRONT  # how far the handles protrude
+for i, name in enumerate(("bottom_drawer", "middle_drawer", "top_drawer")):
+    low = BASE + i * PITCH
+    drawer = cab.part(name, material=white)
+    high = PITCH - 0.0035
+    panel = drawer.add(
+        box((PANEL, inside - 0.003, high)),
+        at=(FRONT, 0, low + 0.001),
+        by="front.bottom",
+        name="front",
     )
-    for side in (-0.07, 0.07):
-        post = (px - 0.004, side, pz)
+    # A tray of four boards behind the panel
+    tx = FRONT - PANEL
+    tall, t = high - 0.03, 0.010
+    for side in mirror((tx, inside / 2 - 0.0015 - t / 2, low + 0.008)):
+        drawer.add(box((TRAY - PANEL, t, tall)), at=side, by="front.bottom")
+    drawer.add(
+        box((TRAY - PANEL, inside - 0.003 - 2 * t, 0.006)),
+        at=(tx, 0, low + 0.008),
+        by="front.bottom",
+        name="floor",
+    )
+    drawer.add(
+        box((t, inside - 0.003 - 2 * t, tall - 0.006)),
+        at=(tx - TRAY + PANEL, 0, low + 0.014),
+        by="back.bottom",
+        name="rear",
+    )
+    hz = low + PITCH / 2
+    drawer.add(
+        cylinder(R, HANDLE),
+        at=(FRONT + PULL, 0, hz),
+        rpy=(1.5708, 0, 0),
+        by="front",
+        material=grey,
+        name="bar",
+    )
+    for post in mirror((FRONT - 0.003, 0.068, hz)):
         drawer.add(
-            cylinder(0.012, PULL - 0.02),
+            cylinder(POST, PULL - R + 0.003 - 0.006),
             at=post,
-            rpy=(0, math.pi / 2, 0),
+            rpy=(0, 1.5708, 0),
             by="back",
-            material="dark_metal",
+            material=grey,
         )
+    cab.prismatic(name + "_slide", body, drawer, axis="front", range=(0, 0.7 * TRAY), opens="front")
