@@ -28,7 +28,7 @@ from ..spec import (
 from ..spec.opening import matching_joint
 from ..spec.pose import IDENTITY, Pose, angle_between, from_yaw, pose, quat_mul, rotate, yaw_of
 from ..spec.scale import BoxFit, fit_to_box
-from .on_supports import snap
+from .on_supports import against_walls, snap
 from .resting_pose import is_stable_upright, on_level, resting_tilt, with_joint_friction
 from .settle import has_same_footprint, position_inside, settle
 
@@ -91,7 +91,7 @@ def compose(
         if options.hold_joints:
             placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene = snap(scene)
+    scene = snap(against_walls(scene))
     return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
 
 

@@ -147,10 +147,10 @@ def test_an_object_keeps_apart_from_those_that_are_inside():
 
 
 @pytest.mark.parametrize(
-    ("scale", "same"), [(0.9, True), (1.1, True), (0.87, False), (1.14, False)]
+    ("scale", "same"), [(0.84, True), (1.2, True), (0.8, False), (1.24, False)]
 )
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2])
-def test_a_lid_has_the_footprint_of_its_jar_within_12_percent(scale, same, yaw):
+def test_a_lid_has_the_footprint_of_its_jar_within_18_percent(scale, same, yaw):
     size = (0.2 * scale, 0.3, 0.02) if yaw == 0 else (0.3, 0.2 * scale, 0.02)
     lid = SceneObject(name="lid", spec=scenes.single("lid", (Box(size=size), (0, 0, 0))), yaw=yaw)
     assert has_same_footprint(tray(), lid) is same
