@@ -80,6 +80,8 @@ _UNKNOWN_LENGTH = re.compile(rf"found `tuple\[{_NUMBER}(?: \| {_NUMBER})*, \.\.\
 
 The SDK counts the entries of such a tuple at run time.
 """
+_FOUND = re.compile(r"found `([^`]*)`")
+_BRACKETED = re.compile(r"\[[^\[\]]*\]")
 _OWN_MODULES = ("neoworld_mjx", "sdk")
 _LISTED = "the SDK has only what the guide lists"
 
@@ -94,6 +96,8 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
     - Numbers that are passed instead of a tuple cause two findings, and only the finding that
       mentions the tuple is returned.
     - Tuples of unknown length are not errors.
+    - Nor are names of several types, such as an outline that has the name of a loop's variable
+      above: the SDK checks every value that it gets at run time.
     """
     broken = [finding for finding in findings if finding["code"] == "invalid-syntax"]
     tuples = {_line(finding) for finding in findings if _TUPLE.search(finding["message"])}
@@ -102,6 +106,7 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
         for finding in broken or findings
         if not (finding["code"] == "too-many-positional-arguments" and _line(finding) in tuples)
         and not (_TUPLE.search(message := finding["message"]) and _UNKNOWN_LENGTH.search(message))
+        and not (finding["code"] == "invalid-argument-type" and _is_union(message))
     ]
     return [
         error_signal(
@@ -115,6 +120,17 @@ def type_signals(findings: Sequence[Mapping[str, Any]]) -> list[Signal]:
         )
         for finding in relevant[:MAX_TYPE_SIGNALS]
     ]
+
+
+def _is_union(message: str) -> bool:
+    """Return whether the type that a message reports as found is one of several."""
+    found = _FOUND.search(message)
+    if found is None:
+        return False
+    kind, inner = found[1], ""
+    while kind != inner:
+        kind, inner = _BRACKETED.sub("", kind), kind
+    return " | " in kind
 
 
 def _syntax_hint(message: str) -> str:

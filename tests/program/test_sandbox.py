@@ -148,3 +148,22 @@ def test_csg_and_balls_have_the_same_bytes_everywhere():
     )
     files = repr(sorted(object_files(built.spec).items()))
     assert other.stdout.strip() == hashlib.sha256(files.encode()).hexdigest()
+
+
+TWO_TYPES = """from neoworld_mjx.program.sdk import Object, box, extrusion
+
+o = Object("a")
+body = o.part("body", material="pine")
+for side in ("left", "right"):
+    o.material(side, like="pine")
+for k in range(2):
+    side = [(0, 0), (0.1, 0), (0.1, 0.1)] if k == LAST else side
+body.add(extrusion(side, 0.1), by="bottom")
+"""
+
+
+def test_a_name_of_two_types_is_judged_by_its_value_at_run_time():
+    built = run(TWO_TYPES.replace("LAST", "1"))
+    assert built.spec is not None and not built.errors
+    [error] = run(TWO_TYPES.replace("LAST", "7")).signals
+    assert (error.code, error.line) == ("value", 9) and "'right'" in error.message
