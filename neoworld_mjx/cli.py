@@ -131,6 +131,7 @@ def run(command: "Command") -> int:
 
         try:
             with prompt_interrupts(None if command.ends_by_interrupt else end):
+                command.check_inputs()
                 result = command.run()
             code = FAILED if result.get("passed") is False else 0
         except KeyboardInterrupt:

@@ -33,17 +33,40 @@ def test_help_names_the_commands(neoworld):
         assert f"{name} {documented}" in said
 
 
-@pytest.mark.parametrize(("words", "heavy"), [((), ("tyro",)), (("reconstruct",), ())])
-def test_help_imports_nothing_heavy(words, heavy):
-    names = {"jax", "mujoco", "pydantic", "numpy", "pxr", "PIL", *heavy}
+def imported(*words, names):
+    """Return the modules of `names` that a command imports, and what it prints on stderr."""
     code = (
         "import sys; from neoworld_mjx import cli\n"
-        f"try: cli.main({[*words, '--help']})\n"
+        f"try: cli.main({[*words]})\n"
         "except SystemExit: pass\n"
         f"print(sorted({names} & set(sys.modules)))"
     )
     completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert completed.stdout.splitlines()[-1] == "[]", completed.stderr
+    return completed.stdout.splitlines()[-1], completed.stderr
+
+
+@pytest.mark.parametrize(("words", "heavy"), [((), ("tyro",)), (("reconstruct",), ())])
+def test_help_imports_nothing_heavy(words, heavy):
+    names = {"jax", "mujoco", "pydantic", "numpy", "pxr", "PIL", *heavy}
+    modules, said = imported(*words, "--help", names=names)
+    assert modules == "[]", said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "no.json"),
+        ("view", "no.json"),
+        ("reconstruct", "no.jpg", "--out", "out"),
+        ("annotate", "no.jpg", "--out", "out"),
+        ("reconstruct", "coffee", "--out", "out", "--depth", "no.png"),
+        ("refine", "out", "--from", "no.glb"),
+        ("evaluate", "no.npz", "out"),
+    ],
+)
+def test_a_missing_file_is_reported_before_slow_imports(words):
+    modules, said = imported(*words, names={"jax", "mujoco"})
+    assert modules == "[]" and "no such file" in said and "no." in said
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import UseAppendAction, arg
 
-from ..errors import ConfigError, EvidenceError
+from ..errors import ConfigError, EvidenceError, PhotoError, SpecError
 
 if TYPE_CHECKING:
     from ..config import Config
@@ -25,6 +25,8 @@ class Command:
     """If True, the command runs until Ctrl-C and then returns a result."""
     owns_stdout: ClassVar[bool] = False
     """If True, the command itself writes to stdout, such as a protocol."""
+    inputs: ClassVar[tuple[str, ...]] = ("target", "config")
+    """Fields with files or folders that are checked before slow modules are imported."""
 
     json: bool = False
     """Print the result as one JSON object on stdout, and everything else on stderr."""
@@ -34,6 +36,16 @@ class Command:
     """Print the whole result as YAML, and all progress messages."""
     debug: bool = False
     """Print the traceback of an error."""
+
+    def check_inputs(self) -> None:
+        """Check that the files and folders that the command reads exist.
+
+        Raises:
+            SpecError: one of them does not.
+        """
+        for path in (getattr(self, name, None) for name in self.inputs):
+            if path is not None and not path.exists():
+                raise SpecError(f"cannot read {path}: no such file or folder")
 
     def run(self) -> CommandResult:
         """Run the command and return its result.
@@ -99,6 +111,10 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
     tree[last] = value
 
 
+EVIDENCE = ("camera", "depth", "masks", "base", "evidence")
+"""Fields of `EvidenceFlags` with files or folders."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvidenceFlags:
     """Evidence that the user has; see docs/how-to/give-evidence.md."""
@@ -146,6 +162,16 @@ class EvidenceFlags:
         if self.evidence is not None:
             return read_stated(self.evidence).overridden(own)
         return own if flags else None
+
+
+def check_photo(photo: Path) -> None:
+    """Check that a photograph exists; a name without a suffix may be that of an example.
+
+    Raises:
+        PhotoError: it does not.
+    """
+    if photo.suffix and not photo.exists():
+        raise PhotoError(f"{photo}: no such file; check the path of the photograph")
 
 
 def _named_file(value: str) -> tuple[str, str]:

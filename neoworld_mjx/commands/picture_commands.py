@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ..errors import RunError, SpecError
-from .base_command import Command, CommandResult, ConfiguredCommand, EvidenceFlags
+from .base_command import (
+    EVIDENCE,
+    Command,
+    CommandResult,
+    ConfiguredCommand,
+    EvidenceFlags,
+    check_photo,
+)
 
 if TYPE_CHECKING:
     from ..render import View
@@ -201,12 +208,19 @@ class ViewCommand(PageCommand):
 class AnnotateCommand(EvidenceFlags, PageCommand):
     """Annotate a photograph by hand, without a model: boxes, labels, camera and templates."""
 
+    inputs: ClassVar = ("config", *EVIDENCE)
+
     photo: Positional[Path]
     """The photograph."""
     out: Path
     """Run folder: new, empty, or a run of this photograph to correct."""
     start: Annotated[Literal["parse"] | None, arg(name="from")] = None
     """Start from the parsed or annotated run in --out, instead of an empty page."""
+
+    def check_inputs(self) -> None:
+        """Check the photograph, too."""
+        super().check_inputs()
+        check_photo(self.photo)
 
     def run(self) -> CommandResult:
         """Serve the page."""

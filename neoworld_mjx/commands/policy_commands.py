@@ -5,7 +5,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -137,6 +137,8 @@ class EvaluateCommand(Command):
     The scenes are draws of what the photograph allows, simulated by C MuJoCo.
     """
 
+    inputs: ClassVar = ("policy", "target")
+
     policy: Positional[Path]
     """File policy.npz."""
     target: Positional[Path]
@@ -173,6 +175,8 @@ class EvaluateCommand(Command):
 @dataclass(frozen=True, kw_only=True)
 class PlayCommand(Command):
     """Write a video of a policy in a scene."""
+
+    inputs: ClassVar = ("policy", "target")
 
     policy: Positional[Path]
     """File policy.npz."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -10,13 +10,22 @@ from ..engines import EngineChoice
 from ..errors import ConfigError
 from ..names import Step
 from ..quantities import count
-from .base_command import Command, CommandResult, ConfiguredCommand, EvidenceFlags
+from .base_command import (
+    EVIDENCE,
+    Command,
+    CommandResult,
+    ConfiguredCommand,
+    EvidenceFlags,
+    check_photo,
+)
 from .result_lines import DETAILS, run_lines
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     """Reconstruct a simulation-ready scene from a photograph."""
+
+    inputs: ClassVar = ("config", *EVIDENCE)
 
     photo: Positional[Path]
     """The photograph, or a name that `neoworld examples` lists."""
@@ -51,6 +60,12 @@ class ReconstructCommand(EvidenceFlags, ConfiguredCommand):
     mailbox: Path | None = None
     """Folder into which requests are written and from which responses are read, for the provider
     mailbox."""
+
+    def check_inputs(self) -> None:
+        """Check the photographs, too."""
+        super().check_inputs()
+        for photo in (self.photo, *self.further):
+            check_photo(photo)
 
     def run(self) -> CommandResult:
         """Run the five steps."""
@@ -97,6 +112,8 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
     for the scene of another method. The meshes of this scene are put on their supports, aligned
     with the photograph (if --photo is given), settled, and exported with colliders.
     """
+
+    inputs: ClassVar = ("source", "photo", "config", *EVIDENCE)
 
     folder: Positional[Path]
     """The run folder; with --from, a new folder to write."""
@@ -158,6 +175,8 @@ class RefineCommand(EvidenceFlags, ConfiguredCommand):
 @dataclass(frozen=True, kw_only=True)
 class ReportCommand(Command):
     """Write report.html of a run, finished or not."""
+
+    inputs: ClassVar = ("folder",)
 
     folder: Positional[Path]
     """The run folder."""

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 class PlanCommand(Command, Machines):
     """Options of the commands that run a plan."""
 
+    inputs: ClassVar = ("plan",)
+
     plan: Positional[Path]
     """YAML file of scenes, base options, seeds, and axes or variants."""
     out: Path
