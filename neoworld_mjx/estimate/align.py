@@ -19,11 +19,11 @@ from ..config import AlignOptions
 from ..errors import PhotoError
 from ..evidence.evidence import Evidence
 from ..physics.photo_view import see_through
+from ..render.rasterize import height_of
 from ..spec import SceneSpec
 from ..spec.correlation import PoseCorrelation
 from ..spec.scene import PoseUncertainty
 from .image.colors import LabImage
-from .image.rasterize import height_of
 from .prior import is_misjudged
 from .problem import COARSE_PX, FINE_PX, AlignmentProblem, AlignmentStage
 from .result import (

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from ..evidence.depth_image import sensor_sd
 from ..measure import iou_2d
+from ..render.rasterize import WorldMesh, draw_objects, window_of
 from ..spec import Camera, SceneObject, SceneSpec
-from .image.rasterize import WorldMesh, draw_objects, window_of
 from .rows.depth import LEAST_M, LEAST_PIXELS, MOST_PIXELS, UPWARD, SceneDepth, eroded
 from .unknowns import Unknowns
 

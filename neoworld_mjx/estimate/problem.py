@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from ..config import AlignOptions
 from ..evidence.evidence import Evidence
+from ..render.rasterize import DrawnObjects
 from ..spec import Box2D, SceneSpec
 from .depth_start import (
     MeasuredPlace,
@@ -21,7 +22,6 @@ from .depth_start import (
 )
 from .image.colors import LabImage, is_supported, overlap, shown_at
 from .image.lines import PITCH_RANGE, ROLL_RANGE, VerticalEdges
-from .image.rasterize import DrawnObjects
 from .prior import camera_deviations, edges_mislead, prior_precision
 from .result import DepthOutcome
 from .rows.boxes import box_evidence

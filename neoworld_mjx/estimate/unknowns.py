@@ -26,9 +26,9 @@ from ..physics.photo_view import direction_in_wall
 from ..physics.placed import BALL_EXTENT
 from ..physics.sampling import is_round
 from ..render import visible_surface
+from ..render.rasterize import DrawnObjects, WorldMesh, draw_objects
 from ..spec import Camera, SceneObject, SceneSpec, bounds, with_layout, world_poses
 from ..spec.pose import matrix
-from .image.rasterize import DrawnObjects, WorldMesh, draw_objects
 from .views import EACH_VIEW, ViewCamera
 
 

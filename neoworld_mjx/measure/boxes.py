@@ -6,13 +6,14 @@ are compared with the parsed boxes of the photograph.
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
-from ..spec import Box2D, Box3D, SceneSpec, TreeNode, bounds, world_poses
+from ..spec import Box2D, Box3D, Camera, SceneSpec, TreeNode, bounds, world_poses
 from ..spec.pose import ArrayLike, angle_between, yaw_of
 from ..spec.triangles import polygon_area
 
@@ -116,6 +117,12 @@ def _area(box: NDArray) -> float:
     return float(max(box[2] - box[0], 0.0) * max(box[3] - box[1], 0.0))
 
 
+VISIBLE_PX = 960
+"""Width of the images in which visible boxes are measured [px]."""
+OWN_SIDE_PX = 1.0
+"""Distance up to which the visible and the whole box of an object end at the same side [px]."""
+
+
 def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     """Return the intersection over union of each object's visible box and its parsed box.
 
@@ -126,20 +133,62 @@ def visible_box_iou(scene: SceneSpec) -> dict[str, float]:
     """
     if scene.camera is None:
         return {}
-    from ..physics.layout import Layout
-    from ..physics.model import compile_scene
-    from ..physics.placed import measure_in_chunks, place_in_chunks
-    from ..physics.scene_arrays import pad_scene
-
-    padded = pad_scene(compile_scene(scene))
-    poses = place_in_chunks(padded, Layout.zero(1, padded.count))
-    visible = measure_in_chunks(padded, poses, poses).visible
-    boxes, parsed = np.asarray(visible.boxes)[0], np.asarray(padded.photo.boxes)
-    return {
-        item.name: iou_2d(boxes[k], parsed[k])
-        for k, item in enumerate(scene.objects)
+    scored = {
+        item.name: item.box2d
+        for item in scene.objects
         if item.box2d is not None and not item.environment
     }
+    boxes = visible_boxes(scene, scene.camera, scored)
+    return {name: iou_2d(boxes[name], box) for name, box in scored.items()}
+
+
+def visible_boxes(
+    scene: SceneSpec, camera: Camera, names: Collection[str]
+) -> dict[str, Float[np.ndarray, " 4"]]:
+    """Return the boxes of the visible parts of objects, in the camera's pixels.
+
+    See-through objects occlude nothing. A side where an object itself or the image ends is exact; a
+    side at an occluder is accurate to a pixel of an image VISIBLE_PX wide. The box of an invisible
+    object has zero area.
+
+    Args:
+        scene: the scene.
+        camera: its camera.
+        names: names of the objects.
+    """
+    from ..physics.photo_view import see_through
+    from ..render import visible_surface
+    from ..render.rasterize import WorldMesh, draw_objects, window_of
+
+    poses, meshes = world_poses(scene), dict[str, WorldMesh]()
+    for item in scene.objects:
+        vertices, triangles = visible_surface(item.spec, item.joint_state)
+        meshes[item.name] = WorldMesh(poses[item.name].apply(vertices), triangles)
+    opaque = [item.name for item in scene.objects if not see_through(item.spec)]
+    frame, scale = np.array([camera.width, camera.height_px]), VISIBLE_PX / camera.width
+    owner = draw_objects([meshes[name] for name in opaque], camera, VISIBLE_PX).owner
+    found = {}
+    for name in names:
+        drawn, index = owner, opaque.index(name) if name in opaque else len(opaque)
+        if name not in opaque:
+            drawn = draw_objects(
+                [meshes[each] for each in (*opaque, name)], camera, VISIBLE_PX
+            ).owner
+        if not (drawn == index).any():
+            found[name] = np.zeros(4)
+            continue
+        rows, columns = window_of(drawn == index)
+        seen = np.array([columns.start, rows.start, columns.stop, rows.stop]) / scale
+        whole = _projected(meshes[name].vertices, camera, frame)
+        found[name] = np.where(np.abs(whole - seen) * scale <= OWN_SIDE_PX, whole, seen)
+    return found
+
+
+def _projected(points: NDArray, camera: Camera, frame: NDArray) -> Float[np.ndarray, " 4"]:
+    """Return the box around points before a camera, within its image [px]."""
+    pixels, depth = camera.project(points)
+    ahead = np.clip(pixels[depth > 0], 0, frame)
+    return np.concatenate([ahead.min(axis=0), ahead.max(axis=0)])
 
 
 def box_iou(parsed: Mapping[str, float], composed: SceneSpec, refined: SceneSpec) -> dict[str, Any]:

@@ -14,12 +14,12 @@ from jaxtyping import Float, UInt8
 from ..config import AlignOptions, RefineOptions
 from ..estimate.align import align_again
 from ..estimate.image.colors import SAME_PX, LabImage, is_supported
-from ..estimate.image.rasterize import draw_scene, height_of, pixels_of
 from ..estimate.problem import FINE_PX
 from ..evidence.evidence import Evidence
 from ..measure import SceneMeasure
 from ..physics.model import CompiledScene, compile_for_simulation
 from ..render import visible_surface
+from ..render.rasterize import draw_scene, height_of, pixels_of
 from ..spec import SceneSpec, world_poses
 from .finishing import check_settled, supports_of
 

@@ -8,13 +8,13 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from ..estimate.image.colors import LabImage, color_model, color_models, overlap
-from ..estimate.image.rasterize import DrawnObjects, draw_scene, height_of
 from ..estimate.rows.contours import CONTOUR_PX, LEAST_PRECISION, MARGIN_PX, contour, displacements
 from ..estimate.rows.depth import LEAST_PIXELS, measured_depth, pixel_rays
 from ..estimate.rows.linear import REFERENCE_PX
 from ..evidence.depth_image import DepthImage
 from ..evidence.masks import Masks
 from ..physics.photo_view import see_through
+from ..render.rasterize import DrawnObjects, draw_scene, height_of
 from ..spec import SceneSpec
 
 REACH_PX, STEP_PX = 24.0, 1.0

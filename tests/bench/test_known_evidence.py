@@ -10,8 +10,8 @@ from neoworld_bench.noise.known_evidence import (
 )
 from scipy.ndimage import binary_dilation
 
-from neoworld_mjx.estimate.image.rasterize import draw_scene
 from neoworld_mjx.evidence.depth_image import MONOCULAR, sensor_sd
+from neoworld_mjx.render.rasterize import draw_scene
 from tests.estimate import desk
 
 PHOTO = np.zeros((480, 640, 3), np.uint8)

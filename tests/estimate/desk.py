@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from neoworld_mjx.estimate.image.rasterize import draw_objects
 from neoworld_mjx.estimate.unknowns import Unknowns
 from neoworld_mjx.render import render
+from neoworld_mjx.render.rasterize import draw_objects
 from neoworld_mjx.spec import (
     Box,
     Box2D,

@@ -7,7 +7,6 @@ import pytest
 
 from neoworld_mjx.config import AlignOptions
 from neoworld_mjx.estimate.align import align
-from neoworld_mjx.estimate.image.rasterize import WorldMesh
 from neoworld_mjx.estimate.rows.edges import (
     camera_estimates,
     edges_of_photo,
@@ -19,6 +18,7 @@ from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.render import visible_surface
+from neoworld_mjx.render.rasterize import WorldMesh
 from neoworld_mjx.spec import Box, Cylinder, Sphere
 from neoworld_mjx.spec.pose import from_axis_angle, matrix
 from tests.estimate import desk

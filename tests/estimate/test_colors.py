@@ -14,8 +14,8 @@ from neoworld_mjx.estimate.image.colors import (
     log_likelihood_ratio,
     shown_at,
 )
-from neoworld_mjx.estimate.image.rasterize import draw_objects
 from neoworld_mjx.render.appearance import to_lab
+from neoworld_mjx.render.rasterize import draw_objects
 from tests.estimate import desk
 
 RED, GRAY, BLUE = (200, 30, 30), (128, 128, 128), (30, 40, 200)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.image.colors import LabImage, color_models
-from neoworld_mjx.estimate.image.rasterize import DrawnObjects
 from neoworld_mjx.estimate.rows.contours import BORDER_PX, contour, displacements
+from neoworld_mjx.render.rasterize import DrawnObjects
 
 SHAPE, MIDDLE, RADIUS = (240, 320), np.array([160.0, 120.0]), 50.0
 RED, GRAY, BLUE = ((200.0, 30.0, 30.0), (128.0, 128.0, 128.0), (30.0, 40.0, 200.0))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.image.colors import LabImage, color_models
-from neoworld_mjx.estimate.image.rasterize import DrawnObjects
 from neoworld_mjx.estimate.rows.contours import contour, displacements
+from neoworld_mjx.render.rasterize import DrawnObjects
 
 SHAPE = (200, 320)
 LID_TOP, LID_BOTTOM, FOOT = 60, 78, 150

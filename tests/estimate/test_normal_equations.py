@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.image.colors import LabImage
-from neoworld_mjx.estimate.image.rasterize import draw_objects
 from neoworld_mjx.estimate.prior import camera_deviations, prior_precision
 from neoworld_mjx.estimate.rows.boxes import BOX, BOX_PX, box_evidence
 from neoworld_mjx.estimate.rows.contours import CONTOUR_PX, OBSERVATIONS, contour_evidence
 from neoworld_mjx.estimate.rows.linear import LinearEvidence
 from neoworld_mjx.estimate.solve import NormalEquations
 from neoworld_mjx.estimate.unknowns import CAMERA
+from neoworld_mjx.render.rasterize import draw_objects
 from tests.estimate import desk
 
 WIDTH = 640

@@ -15,7 +15,6 @@ from PIL import Image
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import EvidenceError, RunError
-from neoworld_mjx.estimate.image.rasterize import draw_scene
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored
@@ -27,6 +26,7 @@ from neoworld_mjx.parse.prompts import parse_request
 from neoworld_mjx.pipeline import reconstruct
 from neoworld_mjx.pipeline.annotated import write_annotated
 from neoworld_mjx.pipeline.given_evidence import evidence_of_run
+from neoworld_mjx.render.rasterize import draw_scene
 from neoworld_mjx.spec import read_scene, world_poses
 from tests.support import answers
 from tests.support.annotations import FOVY_DEG, HEIGHT_M, PITCH_DEG, coffee

@@ -13,13 +13,13 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from neoworld_mjx.errors import SpecError, choices
-from neoworld_mjx.estimate.image.rasterize import draw_scene
 from neoworld_mjx.estimate.views import posed
 from neoworld_mjx.evidence.depth_image import MONOCULAR, DepthImage, sensor_sd
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.further_photo import FurtherPhoto
 from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.evidence.masks import Masks
+from neoworld_mjx.render.rasterize import draw_scene
 from neoworld_mjx.spec import Box2D, Camera, SceneSpec, world_poses
 from neoworld_mjx.spec.pose import from_yaw, matrix
 

@@ -17,8 +17,8 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filte
 from scipy.spatial import KDTree
 
 from ...render.appearance import to_lab
+from ...render.rasterize import DrawnObjects, draw_objects, window_of
 from ..unknowns import Placement, Unknowns
-from .rasterize import DrawnObjects, draw_objects, window_of
 
 BINS = 24
 """Number of bins of a histogram along each axis."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ...render.rasterize import DrawnObjects, pixels_of, window_of
 from ...spec import Box2D
-from ..image.rasterize import DrawnObjects, pixels_of, window_of
 from ..unknowns import Placement, Unknowns
 from .linear import REFERENCE_PX, LinearEvidence, image_jacobian
 

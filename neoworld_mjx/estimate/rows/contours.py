@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from ...render.rasterize import DrawnObjects, window_of
 from ..image.colors import ColorModels, LabImage, color_models, local_colors
-from ..image.rasterize import DrawnObjects, window_of
 from ..unknowns import Placement, Unknowns
 from .linear import REFERENCE_PX, LinearEvidence, image_jacobian, unprojected
 

@@ -18,8 +18,8 @@ from scipy.ndimage import binary_erosion
 
 from ...evidence.depth_image import DepthImage, sensor_sd
 from ...evidence.masks import Masks
+from ...render.rasterize import DrawnObjects
 from ...spec import Camera
-from ..image.rasterize import DrawnObjects
 from ..unknowns import Placement, Unknowns
 from .linear import LinearEvidence, unprojected, value_jacobian
 

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ...evidence.evidence import Evidence
+from ...render.rasterize import WorldMesh
 from ...spec import Box2D, Camera
 from ..image.lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..image.rasterize import WorldMesh
 from ..unknowns import CAMERA, FOCAL, ROLL, TILT, Unknowns
 
 LEAST_PITCH, LEAST_ROLL = math.radians(0.5), math.radians(0.3)

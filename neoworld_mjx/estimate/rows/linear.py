@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ...render.rasterize import pixels_of
 from ...spec import Camera
-from ..image.rasterize import pixels_of
 from ..unknowns import CAMERA, STEP, STRETCH, Placement, Unknowns
 
 REFERENCE_PX = 640.0

@@ -10,5 +10,9 @@ hook = Object("hook", label="wall hook")
 body = hook.part("body", material=stuff)
 body.add(box((0.008, width, height)), at=(-depth / 2, 0, 0), by="back.bottom")
 out, r = depth / 2 - 0.004, 0.004
-path = [(-depth / 2 + 0.004, 0, 0.3 * height), (out - 0.01, 0, 0.3 * height), (out, 0, 0.6 * height)]
+path = [
+    (-depth / 2 + 0.004, 0, 0.3 * height),
+    (out - 0.01, 0, 0.3 * height),
+    (out, 0, 0.6 * height),
+]
 body.add(sweep(path, radius=r))

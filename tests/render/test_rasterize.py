@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.estimate.image.rasterize import WorldMesh, draw_objects, pixels_of
 from neoworld_mjx.render import render
+from neoworld_mjx.render.rasterize import WorldMesh, draw_objects, pixels_of
 from tests.estimate import desk
 
 ROLLED = desk.CAMERA.model_copy(update={"roll": 0.15})

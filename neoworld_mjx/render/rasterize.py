@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import find_objects
 
-from ...render import visible_surface
-from ...spec import Camera, SceneSpec, world_poses
+from ..spec import Camera, SceneSpec, world_poses
+from .scene_images import visible_surface
 
 NEAR_M = 0.02
 """Least depth [m]; triangles with a corner at a smaller depth are not rendered."""
