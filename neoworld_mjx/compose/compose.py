@@ -91,7 +91,9 @@ def compose(
         if options.hold_joints:
             placed[node.name] = with_joint_friction(placed[node.name], notes)
     scene = SceneSpec(name=name, objects=tuple(placed.values()), camera=tree.camera)
-    scene = snap(against_walls(scene))
+    touching = against_walls(scene)
+    notes += _wall_notes(scene, touching)
+    scene = snap(touching)
     return Composed(scene, scales, (*shortfalls, *notes), tuple(shortfalls))
 
 
@@ -288,6 +290,17 @@ def _move_inside(obj: SceneObject, placed: dict[str, SceneObject], notes: list[s
         f"{'in' if obj.relation == 'in' else 'on'} {obj.parent}"
     )
     return obj.model_copy(update={"xy": tuple(position.tolist())})
+
+
+def _wall_notes(before: SceneSpec, after: SceneSpec) -> list[str]:
+    """Return a note for every object that moved far to touch the wall to which it is attached."""
+    pairs = zip(before.objects, after.objects, strict=True)
+    shifts = [(new, float(np.hypot(*np.subtract(new.xy, old.xy)))) for old, new in pairs]
+    return [
+        f"{item.name}: composition moved it by {1e3 * shift:.0f} mm, to touch {item.parent}"
+        for item, shift in shifts
+        if shift > NOTED_SHIFT_M
+    ]
 
 
 def _neighbors(obj: SceneObject, placed: dict[str, SceneObject]) -> list[SceneObject]:

@@ -394,3 +394,16 @@ def test_an_attached_object_is_fixed_and_the_scene_is_stable():
     assert result.scene.object("frame").fixed_base
     assert result.notes == ("frame: composition fixed it to wall, because it is attached",)
     assert scene_measure(result.scene).movable == 0
+
+
+@pytest.mark.parametrize("depth", [0.1, -0.01])
+def test_a_note_names_what_moves_far_to_touch_its_wall(depth):
+    slab = scenes.single("wall", (Box(size=(0.06, 2.0, 1.0)), (0, 0, 0.5)))
+    frame = scenes.single("frame", (Box(size=(0.02, 0.3, 0.2)), (0, 0, 0.1)))
+    wall = node("wall", slab, (2.0, 0, 0), environment=True, parent=None)
+    at = (2.0 - 0.03 - 0.01 + depth, 0.2, 0.5)
+    picture = node("frame", frame, at, parent="wall", relation="attached", fixed_base=True)
+    result = composed([wall, picture], {"wall": slab, "frame": frame})
+    assert world_poses(result.scene)["frame"].pos == pytest.approx((1.96, 0.2, 0.5), abs=1e-6)
+    said = ("frame: composition moved it by 100 mm, to touch wall",)
+    assert [n for n in result.notes if "touch" in n] == [*said] * (depth > 0.03)

@@ -8,11 +8,11 @@ import pytest
 EXPECTED: dict[str, dict[str, float]] = {
     "coffee": {
         "objects": 3, "joints": 0, "calls": 8, "valid": True,
-        "drift_mm": 0.109, "tilt_deg": 0.167, "overlap_mm": 0.0671, "box_iou": 0.914,
+        "drift_mm": 0.109, "tilt_deg": 0.167, "overlap_mm": 0.0671, "box_iou": 0.952,
     },
     "drawers": {
         "objects": 6, "joints": 3, "calls": 16, "valid": True,
-        "drift_mm": 0.0, "tilt_deg": 0.0158, "overlap_mm": 0.108, "box_iou": 0.917,
+        "drift_mm": 0.0, "tilt_deg": 0.0158, "overlap_mm": 0.108, "box_iou": 0.930,
     },
     "microwave": {
         "objects": 1, "joints": 5, "calls": 5, "valid": True,
