@@ -176,6 +176,10 @@ class BenchCommand:
         """Return a short summary of the result."""
         return bench_lines(result)
 
+    def check_inputs(self) -> None:
+        """See `Command`."""
+        self.inner.check_inputs()
+
     def run(self) -> CommandResult:
         """Run the innermost command."""
         return self.inner.run()
