@@ -135,9 +135,14 @@ def _decoded(text: str, mode: str) -> NDArray:
 
 def base64_png(image: NDArray) -> str:
     """Return an image, uint8 [h, w, 3] or uint16 [h, w], as PNG in base64."""
+    return base64.b64encode(_png(image)).decode()
+
+
+def _png(image: NDArray) -> bytes:
+    # The search for the smallest file takes five times as long and saves 4 %.
     content = BytesIO()
-    Image.fromarray(image).save(content, format="PNG", optimize=True)
-    return base64.b64encode(content.getvalue()).decode()
+    Image.fromarray(image).save(content, format="PNG")
+    return content.getvalue()
 
 
 def print_png(material: Material) -> bytes:
@@ -155,9 +160,7 @@ def _print_png(photo: PhotoPrint, rgb: tuple[float, float, float]) -> bytes:
     colours = read_print(photo).colours
     plain = np.round(255 * np.array(rgb)).astype(np.uint8)
     strip = np.broadcast_to(plain, (STRIP, colours.shape[1], 3))
-    content = BytesIO()
-    Image.fromarray(np.concatenate([colours, strip])).save(content, format="PNG", optimize=True)
-    return content.getvalue()
+    return _png(np.concatenate([colours, strip]))
 
 
 @dataclass(frozen=True)
