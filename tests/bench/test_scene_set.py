@@ -4,7 +4,7 @@ import math
 from typing import Any, get_args
 
 import pytest
-from neoworld_bench.dataset.declaration import Room, declarations
+from neoworld_bench.dataset.declaration import ARRANGEMENTS, Room, declaration, declarations
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
@@ -40,6 +40,9 @@ def test_thirty_scenes_of_every_room():
     assert len(every) == 30 and {d.room for d in every.values()} == set(get_args(Room))
     assert sum(d.tabletop for d in every.values()) == 11
     assert len(chosen_scenes(["3"])) == 3 and len(chosen_scenes([])) == 30
+    twelve = chosen_scenes(["arrangements"])
+    assert twelve == tuple(declarations(ARRANGEMENTS)) and len(twelve) == 12
+    assert not set(twelve) & set(every) and chosen_scenes([twelve[0]]) == twelve[:1]
     numbers = {noise_number(n, s, k) for n in every for s in range(3) for k in range(9)}
     assert len(numbers) == 30 * 27, "initial scenes have independent noise"
 
@@ -47,12 +50,14 @@ def test_thirty_scenes_of_every_room():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow)
-        for name in declarations()
+        pytest.param(
+            name, marks=() if name not in declarations() or name in CHEAP else pytest.mark.slow
+        )
+        for name in (*declarations(), *declarations(ARRANGEMENTS))
     ],
 )
 def test_ground_truth_passes_the_final_check(name: str):
-    assert failures(truth_scene(declarations()[name])) == []
+    assert failures(truth_scene(declaration(name))) == []
 
 
 def test_each_error_affects_its_own_figure():
