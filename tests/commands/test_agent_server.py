@@ -21,12 +21,14 @@ from PIL import Image
 pytest.importorskip("mcp")
 from mcp import Client, MCPError, StdioServerParameters
 
+from neoworld_mjx.commands import mcp_command
 from neoworld_mjx.commands.agent_edits import fall_of_agreement, placement_of
 from neoworld_mjx.commands.agent_run import AgentRun, _Computation, _Session
 from neoworld_mjx.commands.agent_tools import TOOLS
 from neoworld_mjx.commands.mcp_command import MAX_PICTURES_BYTES, McpCommand, bounded, build_server
 from neoworld_mjx.errors import ConfigError, RunError, SpecError
 from neoworld_mjx.mllm import Picture, Tape, bundled_tapes
+from neoworld_mjx.names import STEPS
 from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from tests.conftest import QUICK
 from tests.support import scenes
@@ -133,7 +135,9 @@ def built(tmp_path_factory):
             seen["end"] = request[1]
             seen["progress"] = "\n".join(coffee.progress)
 
-    asyncio.run(build())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mcp_command, "PROGRESS_S", 0.1)  # Shorter than the steps of this scene.
+        asyncio.run(build())
     return folder, seen
 
 
@@ -215,7 +219,9 @@ def test_a_rejection_lists_every_mistake(built):
 
 def test_long_work_reports_progress(built):
     _, seen = built
-    assert "compose" in seen["progress"] or "refine" in seen["progress"]
+    steps = "|".join(STEPS)
+    computing = re.compile(rf"({steps}) \d+ s · \d+ calls? · computing")
+    assert any(computing.fullmatch(line) for line in seen["progress"].splitlines())
 
 
 def test_a_finished_run_is_checked_rendered_edited_and_exported(built, tmp_path):
