@@ -65,6 +65,15 @@ def copied(state: SceneState) -> SceneState:
     return SceneState(*(np.array(values) for values in state))
 
 
+def settled_act(model: mujoco.MjModel, ctrl: Any, xp: Any = np) -> Any:
+    """Return the activations of actuators whose filters have settled at controls, shape [na]."""
+    filters = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    filtered = np.flatnonzero(np.isin(model.actuator_dyntype, filters))
+    share = np.zeros((model.na, model.nu), np.float32)
+    share[model.actuator_actadr[filtered], filtered] = 1.0
+    return xp.asarray(share) @ ctrl
+
+
 @dataclass(frozen=True)
 class Arm:
     """Indices and constants of a robot in a compiled model; arrays are per joint of the arm."""

@@ -18,7 +18,7 @@ from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec, read_scene
 from ..spec.pose import quat_mul, rotate
-from .arm import Arm, Control, SceneState, compiled_arm
+from .arm import Arm, Control, SceneState, compiled_arm, settled_act
 from .flying_gripper import FlyingGripper, facing
 from .robot_model import attach_robot, read_robot
 from .robots import PREFIX as ROBOT
@@ -107,6 +107,7 @@ class ControlledScene:
         """Return the initial state without reset noise, after `mj_forward`."""
         data = mujoco.MjData(self.model)
         data.qpos[:], data.ctrl[:] = self.initial_qpos, self.initial_ctrl
+        data.act[:] = settled_act(self.model, data.ctrl)
         mujoco.mj_forward(self.model, data)
         return data
 

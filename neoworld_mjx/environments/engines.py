@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 from mujoco.batch import Batch, SimulationError
 
-from .arm import SceneState
+from .arm import SceneState, settled_act
 
 Fields = Mapping[str, Array]
 """Model fields in which a world differs from the compiled model, by their names in MjModel."""
@@ -97,9 +97,10 @@ def dynamic(state: SceneState) -> dict[str, Any]:
 def initial_world(model: mujoco.MjModel, qpos: Any, ctrl: Any) -> SceneState:
     """Return a world at rest whose bodies' poses are not set: give it to `step` with 0 steps."""
     zero = lambda *shape: jnp.zeros(shape, jnp.float32)
+    ctrl = jnp.asarray(ctrl, jnp.float32)
     return SceneState(
         jnp.asarray(qpos, jnp.float32),
-        *(zero(model.nv), zero(model.na), zero(model.nv)),
-        jnp.asarray(ctrl, jnp.float32),
+        *(zero(model.nv), settled_act(model, ctrl, jnp), zero(model.nv)),
+        ctrl,
         *(zero(model.nbody, 3), zero(model.nbody, 4)),
     )

@@ -15,7 +15,7 @@ from ..errors import EngineError, SpecError, choices
 from ..render.scene_images import scene_view
 from ..spec import SceneSpec
 from . import cameras
-from .arm import copied, scene_state
+from .arm import copied, scene_state, settled_act
 from .controlled_scene import ControlledScene, SceneOptions
 from .mjx_environment import EnvState, mjx_env, open_scene
 from .own_reward import Reward, with_four_arguments
@@ -92,6 +92,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray]):
             for name, values in self._variants.fields.items():
                 getattr(self.model, name)[:] = values[row]
         self.data.qpos[:], self.data.ctrl[:] = qpos, ctrl
+        self.data.act[:] = settled_act(self.model, ctrl)
         mujoco.mj_forward(self.model, self.data)
         self._steps = 0
         return self._observe(), {}

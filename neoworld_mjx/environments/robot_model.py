@@ -17,6 +17,9 @@ from .robots import PREFIX, SITES, TOOL, Mount, Robot
 
 RATE = 50.0
 """Natural frequency of the position actuators that replace a file's motors [rad/s]."""
+FILTER_S = 0.005
+"""Time constant of the filter through which targets reach the actuators of the arm [s], as robots'
+controllers smooth commands. A target that jumps shakes what the fingers hold out of them."""
 PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.004, 1.0]}
 """Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
 ONE_JAW_M = 0.012
@@ -52,7 +55,7 @@ def read_robot(
 
     Every mesh that collides becomes a box or a capsule around it, robots do not collide with
     themselves, and their weight is compensated. Motors of the arm become position actuators with
-    the limits of the motors; position actuators stay.
+    the limits of the motors; position actuators stay. Targets of the arm pass through a filter.
 
     Args:
         robot: the robot.
@@ -255,7 +258,7 @@ def _is_position(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def _position_actuators(r: _Read, actuators: list[mujoco.MjsActuator]) -> None:
-    """Replace the arm's actuators that control no positions."""
+    """Replace the arm's actuators that control no positions, and filter all targets."""
     model, inertia = r.model, np.zeros((r.model.nv, r.model.nv))
     mujoco.mj_fullM(model, r.data, inertia)
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
@@ -264,6 +267,10 @@ def _position_actuators(r: _Read, actuators: list[mujoco.MjsActuator]) -> None:
         motors = [a for a in own if not _is_position(model, a)]
         for a in motors:
             r.spec.delete(actuators[a])
+        for a in set(own) - set(motors):
+            if model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_NONE:
+                actuators[a].dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+                actuators[a].dynprm[0] = FILTER_S
         if len(motors) < len(own):
             continue
         limited = [a for a in own if model.actuator_ctrllimited[a]]
@@ -276,7 +283,7 @@ def _position_actuators(r: _Read, actuators: list[mujoco.MjsActuator]) -> None:
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             target=model.joint(j).name,
         )
-        added.set_to_position(kp=mass * RATE**2, kv=2 * mass * RATE)
+        added.set_to_position(kp=mass * RATE**2, kv=2 * mass * RATE, timeconst=FILTER_S)
         if limited:
             added.forcelimited = 1
             added.forcerange = [-limit, limit]

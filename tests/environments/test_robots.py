@@ -19,6 +19,7 @@ from neoworld_mjx.environments.arm import (
 )
 from neoworld_mjx.environments.cameras import camera_view, picture
 from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.engines import initial_world
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.render.view import View
@@ -74,7 +75,7 @@ def test_actions_move_the_tool_along_the_axes_of_the_base(controlled, data):
     act(controlled, data, [0, 0, 0, 0, 0, 0, 1], 20)
     still, _ = controlled.tool(scene_state(data))
     np.testing.assert_allclose(still, start, atol=2e-4)
-    act(controlled, data, [-0.5, 0, 0, 0, 0, 0, 1], 5)
+    act(controlled, data, [-0.25, 0, 0, 0, 0, 0, 1], 10)
     act(controlled, data, [0, 0, 0, 0, 0, 0, 1], 15)
     end, _ = controlled.tool(scene_state(data))
     moved = rotate(MOUNT.quat * [1, -1, -1, -1], end - start)
@@ -210,3 +211,27 @@ def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
     camera = scenes.furnished().camera
     assert camera is not None
     np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
+
+
+def test_an_arm_stands_still_from_its_start_in_every_engine(controlled, data):
+    """Its filters have settled, in MjData and in the worlds of a batch."""
+    assert data.act == pytest.approx(data.ctrl[controlled.arm.actuators], abs=1e-6)
+    world = initial_world(controlled.model, controlled.initial_qpos, controlled.initial_ctrl)
+    assert np.asarray(world.act) == pytest.approx(data.act, abs=1e-6)
+    hold = controlled.hold_action
+    for _ in range(10):
+        data.ctrl[:] = controlled.controls(hold, scene_state(data))
+        mujoco.mj_step(controlled.model, data, 10)
+    moved = data.qpos[controlled.arm.qpos] - controlled.arm.home
+    assert np.abs(moved).max() < 1e-3
+
+
+def test_targets_of_an_arm_do_not_jump(controlled, data):
+    """A jump of all targets reaches the actuators within 20 ms, and not at once."""
+    arm, start = controlled.arm, data.ctrl.copy()
+    data.ctrl[arm.actuators] += 0.05
+    mujoco.mj_step(controlled.model, data)
+    share = (data.act - start[arm.actuators]) / 0.05
+    assert (share < 0.5).all() and (share > 0.2).all()
+    mujoco.mj_step(controlled.model, data, 9)
+    assert data.act == pytest.approx(data.ctrl[arm.actuators], abs=2e-3)

@@ -10,7 +10,7 @@ of `nw.sample`, about their true values; its poses and sizes are the true ones.
 """
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -51,6 +51,8 @@ KINDS: tuple[TaskKind, ...] = ("opening", "closing", "pushing", "placement")
 """Kinds of tasks that policies are trained for."""
 HORIZON, ROBOT_HORIZON = 125, 200
 """Actions of an episode of a flying gripper, and of a robot, which is slower."""
+END = ("qpos", "qvel", "act", "ctrl")
+"""What the judge takes from the end of an episode."""
 SNAPSHOTS = (0.1, 0.3, 1.0)
 """Shares of a training after which its policy is run."""
 
@@ -245,14 +247,12 @@ class _Arena:
     def successes(self, policy: Policy) -> NDArray:
         """Return which draws a policy succeeds in."""
         ends = last(self._states(policy))
-        qpos, qvel, ctrl = (np.asarray(getattr(ends.data, n)) for n in ("qpos", "qvel", "ctrl"))
+        end = [np.asarray(getattr(ends.data, name)) for name in END]
         lost = np.asarray(ends.done) > 0
         with ThreadPoolExecutor() as threads:
             judged = lambda k: (
                 not lost[k]
-                and _succeeds(
-                    self._task, self._variants, k, (qpos[k], qvel[k], ctrl[k]), self._goal
-                )
+                and _succeeds(self._task, self._variants, k, [v[k] for v in end], self._goal)
             )
             return np.array(list(threads.map(judged, range(len(lost)))))
 
@@ -261,7 +261,7 @@ def _succeeds(
     task: SceneTask,
     variants: Variants,
     k: int,
-    end: tuple[NDArray, NDArray, NDArray],
+    end: Sequence[NDArray],
     goal: Predicate,
 ) -> bool:
     """Return whether the goal holds after an episode; no gripper may start inside an object."""
@@ -275,6 +275,7 @@ def _succeeds(
     mujoco.mj_forward(model, data)
     if world.depth_of_gripper()[0] > START_DEPTH_M:
         return False
-    data.qpos[:], data.qvel[:], data.ctrl[:] = end
+    for name, values in zip(END, end, strict=True):
+        getattr(data, name)[:] = values
     mujoco.mj_forward(model, data)
     return judge(world, goal).success
