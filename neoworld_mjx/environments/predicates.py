@@ -154,13 +154,15 @@ class Located(Condition):
             + 0.1 * largest(_heading(base_quat, quat, xp) - self.heading)
         )
 
+    def aim(self, world: StateReader) -> Any:
+        """Return the position of the target [m]."""
+        base, turn = world.pose(self.relative_to, self.part)
+        return base + rotate(turn, world.xp.asarray(self.target), world.xp)
+
     def offset(self, world: StateReader) -> Any:
         """Return the displacement from the point to the target, in the world's axes [m]."""
-        xp = world.xp
-        base, turn = world.pose(self.relative_to, self.part)
         pos, quat = world.pose(self.object)
-        aim = base + rotate(turn, xp.asarray(self.target), xp)
-        return aim - pos - rotate(quat, xp.asarray(self.point), xp)
+        return self.aim(world) - pos - rotate(quat, world.xp.asarray(self.point), world.xp)
 
     def meaning(self) -> str:
         """Return a description in one line."""

@@ -261,8 +261,9 @@ def _onward(task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose)
         point = relative.inverse().apply(world.apply(goal.point))
         aimed = np.array(goal.target)
         apart = point[:2] - aimed[:2]
-        # The nearest place within the goal, at some distance from its edge.
-        aimed[:2] += apart * min(1.0, INSIDE * goal.radius / max(np.linalg.norm(apart), 1e-9))
+        # The nearest place within the goal, at some distance from its edge; a push falls short.
+        inside = INSIDE if task.point.grasp else 0.0
+        aimed[:2] += apart * min(1.0, inside * goal.radius / max(np.linalg.norm(apart), 1e-9))
         aimed[2] += min(max(point[2] - aimed[2], goal.low + LIFT_M), goal.high)
         shift = rotate(relative.quat, aimed - point)
         path = [Pose(first.pos + k / STEPS * shift, first.quat) for k in range(1, STEPS + 1)]

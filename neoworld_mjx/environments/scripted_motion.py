@@ -1,6 +1,7 @@
 """Script of a robot's motion: to the point of a task, and on to its goal."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +26,9 @@ CLEAR_M = 0.08
 def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Script | None:
     """Return a motion that works on the task's point and moves to the goal; None out of reach.
 
-    The tool takes the object at its initial place in each episode. A placed object is lifted,
-    carried, lowered and let go. The motion need not succeed.
+    The tool takes the object at its initial place in each episode, and brings it to where the goal
+    is in this episode. A placed object is lifted, carried, lowered and let go. The motion need not
+    succeed.
     """
     arm, reach = task.controlled.arm, reachable(task.task, robot, mount)
     if arm is None or not reach.reaches:
@@ -47,10 +49,20 @@ def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Scri
     pos = jnp.asarray(np.array([p.pos for p, _ in rows]), jnp.float32)
     quat = jnp.asarray(np.array([p.quat for p, _ in rows]), jnp.float32)
     fingers = jnp.asarray([value for _, value in rows], jnp.float32)
-    nominal = _initial_point(task)
+    way = (onward or [at])[-1].pos[:2] - at.pos[:2]
+    done = jnp.clip((pos[:, :2] - at.pos[:2]) @ way / max(way @ way, 1e-9), 0.0, 1.0)
+
+    def ends(state: SceneState) -> tuple[Any, Any]:
+        """Return where the motion takes the object or part, and where it brings an object [m]."""
+        view = StateView(task.controlled, state)
+        point = view.point(task.task.point)
+        return point, goal.aim(view) if isinstance(goal, Located) else point
+
+    nominal = [end.astype(np.float32) for end in ends(task.initial_state)]
 
     def action(state: SceneState, first: SceneState, t: jax.Array) -> jax.Array:
-        shift = StateView(task.controlled, first).point(task.task.point) - nominal
+        start, end = (now - then for now, then in zip(ends(first), nominal, strict=True))
+        shift = start + done[t] * (end - start)
         return arm.toward(state, pos[t] + shift, quat[t], fingers[t], jnp)
 
     return Script(action, len(rows))
@@ -65,8 +77,3 @@ def _way(poses: list[Pose], grip: float) -> list[tuple[Pose, float]]:
             quat = a.quat + share * (b.quat * np.sign(a.quat @ b.quat or 1.0) - a.quat)
             rows.append((Pose(a.pos + share * (b.pos - a.pos), quat / np.linalg.norm(quat)), grip))
     return rows
-
-
-def _initial_point(task: SceneTask) -> np.ndarray:
-    """Return the position of the task's point in the scene itself [m]."""
-    return StateView(task.controlled, task.initial_state).point(task.task.point).astype(np.float32)

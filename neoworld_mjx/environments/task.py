@@ -43,6 +43,8 @@ FAR_M, CLOSE_M = 0.3, 0.03
 """Distances over which the reward of reaching falls [m]."""
 DEPTH_M = 0.03
 """Depth below the top of an object at which the tool works on it, if it is higher [m]."""
+PUSH_M = 0.015
+"""Distance from the side of an object at which a tool begins to push it [m]."""
 HELD_M = 0.02
 """Margin of an object's box within which a closed gripper holds the object [m]."""
 
@@ -371,9 +373,13 @@ def _check_movable(item: SceneObject) -> None:
 
 
 def push(scene: SceneSpec, name: str, by: tuple[float, float] = (0.1, 0.0)) -> Task:
-    """Push an object by a displacement in the scene's x and y [m]."""
-    goal = _moved(scene, name, (*by, 0.0))
-    return Task(f"push {name}", scene, goal, _body_point(_object(scene, name), grasp=False))
+    """Push an object by a displacement in the scene's x and y [m], at half its height."""
+    goal, item = _moved(scene, name, (*by, 0.0)), _object(scene, name)
+    way = np.array((*by, 0.0)) / max(math.hypot(*by), 1e-9)
+    along = rotate(world_poses(scene)[name].quat * BACK, way)
+    middle, half = _box(item)
+    x, y, z = (middle - along * (np.abs(along) @ half + PUSH_M)).tolist()
+    return Task(f"push {name}", scene, goal, WorkPoint(name, item.spec.root, (x, y, z), False))
 
 
 def lift(scene: SceneSpec, name: str, by: float = 0.1) -> Task:
