@@ -20,6 +20,9 @@ LOG_STD = (-3.0, 0.5)
 RATES = (1e-5, 1e-3)
 """Bounds of the step size."""
 
+STOP = 4.0
+"""Divergence at which an update makes no further steps, relative to `PpoOptions.kl`."""
+
 
 @dataclass(frozen=True)
 class PpoOptions:
@@ -33,7 +36,7 @@ class PpoOptions:
     minibatches: int = 16
     learning_rate: float = 5e-4
     """Initial step size of Adam; it adapts to the divergence of the policy."""
-    kl: float = 0.02
+    kl: float = 0.01
     """Kullback-Leibler divergence of an update near which the step size stays as it is."""
     discount: float = 0.98
     trace: float = 0.95
@@ -205,8 +208,9 @@ def make_update(env: Trainable, options: PpoOptions) -> Update:
         better = better._replace(
             actor=better.actor._replace(log_std=jnp.clip(better.actor.log_std, low, high))
         )
-        # A step that is not finite is left out, or nothing would be finite ever after.
-        sane = jnp.isfinite(optax.tree.norm(gradient))
+        # A step that is not finite is left out, or nothing would be finite ever after. So are steps
+        # of an update that has gone too far: a policy may never recover from it.
+        sane = jnp.isfinite(optax.tree.norm(gradient)) & (losses["kl"] < STOP * options.kl)
         keep = lambda new, old: jnp.where(sane, new, old)
         return jax.tree.map(keep, (better, moved), (networks, state)), losses | {"left_out": ~sane}
 

@@ -249,13 +249,6 @@ def _joint(scene: SceneSpec, name: str) -> tuple[SceneObject, JointSpec]:
     return found[name]
 
 
-def _object(scene: SceneSpec, name: str) -> SceneObject:
-    names = [item.name for item in scene.objects]
-    if name not in names:
-        raise SpecError(f"scene {scene.name}: object: {choices(name, names)}")
-    return scene.object(name)
-
-
 def _handle(item: SceneObject, joint: JointSpec, *, grasp: bool = True) -> WorkPoint:
     handle = next(frame for frame in frames(item.spec) if frame.joint == joint.name)
     return WorkPoint(item.name, handle.part, handle.pos, grasp)
@@ -279,7 +272,7 @@ def _with_joint(scene: SceneSpec, item: SceneObject, joint: str, value: float) -
 def reach(scene: SceneSpec, name: str) -> Task:
     """Move the tool to the handle of a joint, or to an object."""
     if any(item.name == name for item in scene.objects):
-        point = _body_point(_object(scene, name), grasp=False)
+        point = _body_point(scene.object(name), grasp=False)
     else:
         point = _handle(*_joint(scene, name), grasp=False)
     goal = Reached(object=point.object, part=point.part, point=point.pos, source="own bound")
@@ -358,7 +351,7 @@ def _world(scene: SceneSpec) -> SceneObject:
 
 def _moved(scene: SceneSpec, name: str, by: tuple[float, float, float], **bounds_of: Any) -> Any:
     """Return the predicate that an object is displaced in the scene's axes [m]."""
-    item, base = _object(scene, name), _world(scene)
+    item, base = scene.object(name), _world(scene)
     poses = world_poses(scene)
     _check_movable(item)
     target = poses[base.name].inverse().apply(poses[name].pos + np.array(by))
@@ -374,7 +367,7 @@ def _check_movable(item: SceneObject) -> None:
 
 def push(scene: SceneSpec, name: str, by: tuple[float, float] = (0.1, 0.0)) -> Task:
     """Push an object by a displacement in the scene's x and y [m], at half its height."""
-    goal, item = _moved(scene, name, (*by, 0.0)), _object(scene, name)
+    goal, item = _moved(scene, name, (*by, 0.0)), scene.object(name)
     way = np.array((*by, 0.0)) / max(math.hypot(*by), 1e-9)
     along = rotate(world_poses(scene)[name].quat * BACK, way)
     middle, half = _box(item)
@@ -385,14 +378,14 @@ def push(scene: SceneSpec, name: str, by: tuple[float, float] = (0.1, 0.0)) -> T
 def lift(scene: SceneSpec, name: str, by: float = 0.1) -> Task:
     """Lift an object by a height [m]; it need not be at rest."""
     goal = _moved(scene, name, (0, 0, 0), radius=1e3, low=by, high=1e3, rest=False)
-    return Task(f"lift {name}", scene, goal, _body_point(_object(scene, name)))
+    return Task(f"lift {name}", scene, goal, _body_point(scene.object(name)))
 
 
 def place(scene: SceneSpec, name: str, *, on: str | None = None, in_: str | None = None) -> Task:
     """Place an object on the top of another, or in it, and let go."""
     if (on is None) == (in_ is None):
         raise SpecError("task place: give one of on and in_")
-    item, other = _object(scene, name), _object(scene, on or in_ or "")
+    item, other = scene.object(name), scene.object(on or in_ or "")
     _check_movable(item)
     middle, half = _box(other)
     own_middle, own_half = _box(item)
@@ -424,7 +417,7 @@ def insert(scene: SceneSpec, name: str, into: str) -> Task:
 def stack(scene: SceneSpec, name: str, on: str) -> Task:
     """Place an object on the middle of another."""
     task = place(scene, name, on=on)
-    radius = float(_box(_object(scene, name))[1][:2].min()) / 2
+    radius = float(_box(scene.object(name))[1][:2].min()) / 2
     return replace(
         task,
         goal=task.goal.model_copy(update={"radius": radius}),
@@ -435,7 +428,7 @@ def stack(scene: SceneSpec, name: str, on: str) -> Task:
 def topple(scene: SceneSpec, name: str) -> Task:
     """Make an object fall over."""
     goal = Leaning(object=name, tilt=(math.radians(60), math.pi), source="own bound")
-    item = _object(scene, name)
+    item = scene.object(name)
     _check_movable(item)
     return Task(f"topple {name}", scene, goal, _body_point(item, grasp=False))
 
@@ -443,7 +436,7 @@ def topple(scene: SceneSpec, name: str) -> Task:
 def upright(scene: SceneSpec, name: str) -> Task:
     """Set an object upright."""
     goal = Leaning(object=name, tilt=(0.0, math.radians(15)), source="own bound")
-    item = _object(scene, name)
+    item = scene.object(name)
     _check_movable(item)
     return Task(f"set {name} upright", scene, goal, _body_point(item))
 

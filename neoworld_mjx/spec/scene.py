@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..errors import SpecError
+from ..errors import SpecError, choices
 from ..io import read_model
 from ..io.names import UNIQUE, repeated
 from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
@@ -172,12 +172,23 @@ class SceneSpec(Spec):
         return self
 
     def object(self, name: str) -> SceneObject:
-        """Return an object by name."""
-        return next(obj for obj in self.objects if obj.name == name)
+        """Return an object by name.
+
+        Raises:
+            SpecError: there is no such object.
+        """
+        return self.objects[self.index(name)]
 
     def index(self, name: str) -> int:
-        """Return the index of an object."""
-        return [obj.name for obj in self.objects].index(name)
+        """Return the index of an object.
+
+        Raises:
+            SpecError: there is no such object.
+        """
+        names = [item.name for item in self.objects]
+        if name not in names:
+            raise SpecError(f"scene {self.name}: object: {choices(name, names)}")
+        return names.index(name)
 
     def to_json(self) -> str:
         """Return the scene as JSON, with world poses for other programs.

@@ -100,6 +100,15 @@ def test_a_gradient_that_is_not_finite_is_left_out():
     assert all(bool(jnp.isfinite(v).all()) for v in jax.tree.leaves(learner.networks))
 
 
+def test_an_update_that_goes_too_far_makes_no_further_steps():
+    """The first step has no divergence; after a large one, all others have too much."""
+    options = dataclasses.replace(SMALL, learning_rate=1e-3, kl=1e-9)
+    _, (report,) = optimized(Line(), 1, options)
+    assert report["left_out"] == pytest.approx(1 - 1 / (SMALL.epochs * SMALL.minibatches))
+    _, (report,) = optimized(Line(), 1, dataclasses.replace(options, kl=1.0))
+    assert report["left_out"] == 0
+
+
 def test_networks_have_finite_gradients_and_give_the_same_in_numpy():
     layers = (Layer(jnp.full((1, 2), -300.0), jnp.zeros(2)), Layer(jnp.ones((2, 1)), jnp.zeros(1)))
     assert np.isfinite(jax.grad(lambda x: mlp(layers, x)[0])(jnp.ones(1))).all()

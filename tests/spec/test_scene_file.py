@@ -4,8 +4,9 @@ import json
 
 import pytest
 
+from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, SceneObject, SceneSpec
-from tests.support import mechanisms
+from tests.support import mechanisms, scenes
 
 
 def test_a_written_scene_has_world_poses_and_reads_back_equal():
@@ -17,3 +18,11 @@ def test_a_written_scene_has_world_poses_and_reads_back_equal():
     assert written["world_poses"]["cup"]["pos"] == pytest.approx([0.5, 0.1, 1.2])
     assert SceneSpec.model_validate(written) == scene
     assert SceneSpec.model_validate(written | {"semantics": {}}) == scene
+
+
+def test_an_object_that_a_scene_does_not_have_is_named_with_the_choices():
+    scene = scenes.furnished()
+    assert scene.object(scene.objects[1].name) is scene.objects[1]
+    for look_up in (scene.object, scene.index):
+        with pytest.raises(SpecError, match=r"object: got 'tabel', .*table"):
+            look_up("tabel")
