@@ -16,7 +16,7 @@ from ..export.write_mjcf import add_frames
 from ..physics.gripper import PREFIX, Gripper, attach_gripper
 from ..physics.mjcf import IMPRATIO, to_mjspec
 from ..physics.model import SceneModel, compile_scene
-from ..spec import SceneSpec, read_scene
+from ..spec import SceneSpec, bounds, read_scene, world_poses
 from ..spec.pose import quat_mul, rotate
 from .arm import Arm, Control, SceneState, compiled_arm, settled_act
 from .flying_gripper import FlyingGripper, facing
@@ -269,7 +269,7 @@ def controlled_scene(
         if mount is None:
             raise SpecError("a robot needs a mount, such as nw.Mount((x, y, z), yaw)")
         parts = read_robot(find_robot(robot), visual=visual, links=links, mjx=mjx)
-        attach_robot(model, parts, mount)
+        attach_robot(model, parts, mount, _ground(spec, mount) if visual else None)
     if not scene_drives and hand is None and parts is None:
         raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper or a robot")
     mjm = model.compile()
@@ -285,6 +285,17 @@ def controlled_scene(
     if effector is not None:
         effector.set_initial(qpos, ctrl)
     return ControlledScene(compiled, mjm, qpos, ctrl, scene_drives, effector, errors)
+
+
+def _ground(scene: SceneSpec, mount: Mount) -> float | None:
+    """Return the top of the environment below a base [m]; None if there is nothing."""
+    poses, tops = world_poses(scene), []
+    for item in (item for item in scene.objects if item.environment):
+        at = poses[item.name]
+        low, high = (end + at.pos for end in bounds(item.spec, item.joint_state, tuple(at.quat)))
+        if np.all((low[:2] < mount.pos[:2]) & (mount.pos[:2] < high[:2])):
+            tops += [float(high[2])] if high[2] < mount.pos[2] + 0.005 else []
+    return max(tops, default=None)
 
 
 def _add_actuator(model: mujoco.MjSpec, drive: Drive) -> None:

@@ -24,6 +24,8 @@ PAD = {"condim": 4, "priority": 1, "friction": [1.0, 0.02, 1e-4], "solref": [0.0
 """Contacts of fingers, as those of the free gripper (`physics.gripper`)."""
 ONE_JAW_M = 0.012
 """Distance of the tool from the site, if only one finger moves and the site is at the other [m]."""
+STAND_M = 0.08
+"""Half the width of a stand in pictures [m]."""
 GROUP = 5
 """Group of the geoms of a robot that collide."""
 _MOVES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -90,10 +92,25 @@ def read_robot(
     )
 
 
-def attach_robot(model: mujoco.MjSpec, robot: RobotSpec, mount: Mount) -> None:
-    """Add a robot to a model specification. Its coordinates follow the existing coordinates."""
+def attach_robot(
+    model: mujoco.MjSpec, robot: RobotSpec, mount: Mount, ground: float | None = None
+) -> None:
+    """Add a robot to a model specification. Its coordinates follow the existing coordinates.
+
+    Args:
+        model: the specification.
+        robot: the robot, which can be attached once.
+        mount: where its base stands.
+        ground: height of the surface below the base [m]; if given, pictures show a stand on it.
+    """
     frame = model.worldbody.add_frame(pos=mount.pos, quat=mount.quat)
     model.attach(robot.spec, prefix=f"{PREFIX}-", frame=frame)
+    half = 0.0 if ground is None else (mount.pos[2] - ground) / 2
+    if half > 0.005:
+        stand = frame.add_geom(name=f"{PREFIX}-stand", type=mujoco.mjtGeom.mjGEOM_BOX)
+        stand.pos, stand.size = [0.0, 0.0, -half], [STAND_M, STAND_M, half]
+        stand.rgba, stand.mass = [0.35, 0.35, 0.37, 1.0], 0.0
+        stand.contype, stand.conaffinity, stand.group = 0, 0, VISUAL_GROUP
 
 
 class _Read(NamedTuple):

@@ -235,3 +235,14 @@ def test_targets_of_an_arm_do_not_jump(controlled, data):
     assert (share < 0.5).all() and (share > 0.2).all()
     mujoco.mj_step(controlled.model, data, 9)
     assert data.act == pytest.approx(data.ctrl[arm.actuators], abs=2e-3)
+
+
+def test_a_stand_fills_pictures_below_a_base_and_touches_nothing():
+    high = Mount((0.3, -0.35, 0.3), 0.5)
+    shown = controlled_scene(scenes.furnished(), robot=ARM, mount=high, visual=True).model
+    stand = shown.geom("robot-stand")
+    low, top = stand.pos[2] - stand.size[2], stand.pos[2] + stand.size[2]
+    assert (low, top) == (pytest.approx(0.0), pytest.approx(0.3))
+    assert not stand.contype[0] and not stand.conaffinity[0]
+    simulated = controlled_scene(scenes.furnished(), robot=ARM, mount=high).model
+    assert "robot-stand" not in [simulated.geom(g).name for g in range(simulated.ngeom)]
