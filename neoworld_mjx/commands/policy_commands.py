@@ -1,6 +1,7 @@
 """Commands `sample`, `train`, `evaluate` and `play`: draws of a scene, and policies in them."""
 
 import json
+import logging
 import math
 from collections import Counter
 from dataclasses import dataclass
@@ -65,14 +66,16 @@ class TrainCommand(Command):
         from ..environments.own_reward import read_reward
         from ..environments.policy import POLICY
         from ..environments.robots import Mount
+        from ..environments.simplified_scene import scene_without
+        from ..environments.task_words import task_of
         from ..environments.training import (
             CURVE,
             Training,
+            check_folder,
             default_options,
             propose_setting,
             train,
         )
-        from ..errors import RunError
         from ..physics.engine import open_engine
         from ..spec import read_scene
 
@@ -80,8 +83,7 @@ class TrainCommand(Command):
         scene = read_scene(self.target)
         folder = self.target if self.target.is_dir() else self.target.parent
         out = self.out or folder / "policy"
-        if not self.resume and (out / POLICY).exists():
-            raise RunError(f"{out} has a policy: pass --resume, or name another folder with --out")
+        check_folder(out, self.resume)
         engine = self.engine or open_engine().name
         options = default_options(engine)
         if self.worlds is not None:
@@ -98,6 +100,8 @@ class TrainCommand(Command):
             horizon=self.horizon,
             delay_steps=self.delay_steps,
         )
+        goal = task_of(scene_without(scene, self.without), self.task).goal
+        logging.getLogger(__name__).info("goal: %s", goal.meaning())
         policy = train(
             scene,
             setting,

@@ -125,6 +125,8 @@ def scene_variants(controlled: ControlledScene, n: int, seed: int) -> Variants |
 
     Sizes vary only if no collider is a mesh, because the worlds of a batch share their meshes.
     """
+    if n < 0:
+        raise SpecError(f"samples: {n}, not 0 or more")
     if n == 0:
         return None
     scene = controlled.scene

@@ -387,6 +387,8 @@ def place(scene: SceneSpec, name: str, *, on: str | None = None, in_: str | None
         raise SpecError("task place: give one of on and in_")
     item, other = scene.object(name), scene.object(on or in_ or "")
     _check_movable(item)
+    if item is other:
+        raise SpecError(f"task place: {name} cannot be placed on or in itself")
     middle, half = _box(other)
     own_middle, own_half = _box(item)
     foot = (float(own_middle[0]), float(own_middle[1]), float(own_middle[2] - own_half[2]))

@@ -4,6 +4,7 @@ The words are matched with the names of the scene's joints and objects. A model 
 do not match: it answers with a kind of task and names, which are checked in the same way.
 """
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,15 +54,23 @@ VERBS: dict[Kind, str] = {
 """Words for each kind of task; the first kind with a match is meant."""
 JOINT_KINDS = ("open", "close", "press", "turn")
 APART = re.compile(r"\b(?:onto|into|inside|on top of|on|in|at)\b")
-AMOUNT = re.compile(r"(-?\d*\.?\d+)\s*(%|percent|cm|mm|m|deg|degrees|rad)?(?![\w.])")
+AMOUNT = re.compile(r"(?<![\w.])(-?\d*\.?\d+)\s*(%|percent|cm|mm|m|deg|degrees|rad)?(?![\w.])")
 SHARES = {"": 1.0, "%": 0.01, "percent": 0.01}
 UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0, "deg": 0.0174533, "degrees": 0.0174533, "rad": 1.0}
 SYSTEM = (
     "You name the robot task that an instruction asks for in a scene. Use only the kinds and the "
     "exact names that are listed. `name` is what the robot works on: a joint for open, close, "
     "press and turn, otherwise an object. `other` is the object on or in which it is placed. "
-    "`amount` is the share of a joint's range, a height in m or an angle in rad, or null."
+    "`amount` is the share of a joint's range, a height or displacement along x in m, or an angle in "
+    "rad, or null; `aside` is a displacement along y in m."
 )
+BOUNDS: dict[Kind, tuple[float, str]] = {
+    "open": (1.0, "share of the joint's range, such as 0.8 or 80 %"),
+    "turn": (2 * math.pi, "angle in rad, such as 1.5 or 90 deg"),
+    "lift": (2.0, "height in m, such as 0.1 or 10 cm"),
+    "push": (2.0, "displacement along x (and y) in m, such as 0.1 or 0.1 -0.05"),
+}
+"""Largest amount of each kind of task that takes one, and its meaning."""
 
 
 class NamedTask(BaseModel):
@@ -75,6 +84,8 @@ class NamedTask(BaseModel):
     inside: bool = False
     """True if the object is placed in the other, not on it."""
     amount: float | None = None
+    aside: float | None = None
+    """Displacement of a push along y [m]."""
 
 
 def task_of(scene: SceneSpec, words: str, panel: Panel | None = None) -> Task:
@@ -86,7 +97,8 @@ def task_of(scene: SceneSpec, words: str, panel: Panel | None = None) -> Task:
         panel: a model that names the task if the words do not match; by default none is asked.
 
     Raises:
-        SpecError: the words match no kind, or none or several of the names; the error lists them.
+        SpecError: the words match no kind, or none or several of the names; the error lists them;
+            or an amount is not within its bounds.
     """
     try:
         named = _matched(scene, words)
@@ -101,17 +113,25 @@ def make_task(scene: SceneSpec, named: NamedTask) -> Task:
     """Return the task of a kind with exact names.
 
     Raises:
-        SpecError: the scene has no such name, or the kind does not fit.
+        SpecError: the scene has no such name, the kind does not fit, or an amount is not within its
+            bounds.
     """
-    a = named.amount
+    a, aside = named.amount, named.aside or 0.0
+    if a is not None and named.kind in BOUNDS:
+        most, meaning = BOUNDS[named.kind]
+        size = math.hypot(a, aside) if named.kind == "push" else abs(a)
+        if not 0 < size <= most or (a < 0 and named.kind in ("open", "lift")):
+            raise SpecError(
+                f"task {named.kind} {named.name}: {a:g} is no {meaning}; at most {most:.3g}"
+            )
     makers: dict[Kind, Callable[[], Task]] = {
         "reach": lambda: reach(scene, named.name),
         "open": lambda: open_joint(scene, named.name, 0.8 if a is None else a),
         "close": lambda: close_joint(scene, named.name),
         "press": lambda: press(scene, named.name),
         "turn": lambda: turn(scene, named.name, *(() if a is None else (a,))),
-        "push": lambda: push(scene, named.name, (a or 0.1, 0.0)),
-        "lift": lambda: lift(scene, named.name, a or 0.1),
+        "push": lambda: push(scene, named.name, (0.1 if a is None else a, aside)),
+        "lift": lambda: lift(scene, named.name, 0.1 if a is None else a),
         "place": lambda: place(
             scene, named.name, **{"in_" if named.inside else "on": named.other or ""}
         ),
@@ -140,16 +160,18 @@ def _matched(scene: SceneSpec, words: str) -> NamedTask:
     kind: Kind | None = next(
         (k for k, verb in VERBS.items() if re.search(rf"\b(?:{verb})", spoken)), None
     )
+    if re.search(r"\b(?:don'?t|not|never)\b", spoken):
+        raise SpecError(f"task {text!r}: say what to do, not what not to do")
     if kind is None:
         raise SpecError(f"task {text!r}: no verb of a task; valid are: {', '.join(get_args(Kind))}")
     joints = _joint_names(scene)
     objects = {item.name: f"{item.name} {item.spec.label}" for item in scene.objects}
     # The verb is no part of a name: a microwave that is to be opened is not its button "open".
     spoken = re.sub(rf"\b(?:{VERBS[kind]})\w*", "", spoken, count=1)
-    amount, unit = _amount(spoken)
     first, *rest = APART.split(spoken, maxsplit=1)
     if kind in JOINT_KINDS:
         name = _named(text, spoken, joints, "joint")
+        amount, _, unit = _amounts(spoken, name)
         if amount is not None and kind == "open" and unit in UNITS:
             owner, part = name.split("-", 1)
             moved = next(j for j in scene.object(owner).spec.joints if j.child == part)
@@ -170,16 +192,27 @@ def _matched(scene: SceneSpec, words: str) -> NamedTask:
         )
     if kind == "reach":
         objects |= joints
-    return NamedTask(kind=kind, name=_named(text, spoken, objects, "object"), amount=amount)
+    name = _named(text, spoken, objects, "object")
+    amount, second, _ = _amounts(spoken, name)
+    return NamedTask(kind=kind, name=name, amount=amount, aside=second)
 
 
-def _amount(spoken: str) -> tuple[float | None, str]:
-    """Return the last number of a sentence in SI units or as a share, and its unit."""
-    numbers = AMOUNT.findall(spoken)
+def _amounts(spoken: str, name: str) -> tuple[float | None, float | None, str]:
+    """Return the first two amounts of a sentence in SI units or as shares, and their unit.
+
+    A number that belongs to the name, such as in "drawer 2", is no amount.
+    """
+    numbers = [
+        (value, unit)
+        for value, unit in AMOUNT.findall(spoken)
+        if unit or value not in _tokens(name)
+    ]
     if not numbers:
-        return (0.5, "") if "half" in spoken else (None, "")
-    value, unit = numbers[-1]
-    return float(value) * {**SHARES, **UNITS}[unit], unit
+        return (0.5 if "half" in spoken else None), None, ""
+    unit = numbers[-1][1]  # also said for both numbers: 10 -5 cm
+    factor = {**SHARES, **UNITS}
+    first, *more = [float(value) * factor[own or unit] for value, own in numbers]
+    return first, more[0] if more else None, unit
 
 
 def _joint_names(scene: SceneSpec) -> dict[str, str]:
@@ -231,4 +264,7 @@ def gripper_of(task: Task) -> str:
     for name, (item, frame) in handles(task.scene).items():
         if (item.name, frame.part, frame.pos) == (at.object, at.part, at.pos):
             return name
-    raise SpecError(f"task {task.instruction!r} has no handle for a flying gripper: give a robot")
+    raise SpecError(
+        f"task {task.instruction!r} works on {at.object} and not on a handle, which a flying "
+        "gripper has to face: name a robot, such as --robot panda"
+    )

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import logging
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -26,13 +27,14 @@ from .own_reward import Reward, reward_name
 from .policy import ACTION_S, POLICY, About, Policy, Setting, read_policy
 from .policy_environment import PolicyEnv, Script
 from .randomization import Variants, scene_variants
-from .reach import propose_mount
+from .reach import propose_mount, reachable
 from .robots import Mount
 from .scripted_motion import arm_script
 from .simplified_scene import Colliders, scene_without
 from .task import CONTROL_S, SceneTask
 from .task_words import gripper_of, task_of
 
+log = logging.getLogger(__name__)
 TIMESTEP_S = 0.004
 """Time step of physics in training. Evaluation halves it."""
 WRITE_S, REPORT_S = 60.0, 10.0
@@ -158,9 +160,11 @@ def train(
         resume: continue the training of the policy in the folder.
 
     Raises:
-        SpecError: the task is not possible in the scene, or the policy is of another training.
+        SpecError: the task is not possible in the scene, the folder has a policy that is not to be
+            resumed, or the policy is of another training.
         EngineError: the engine cannot run here or cannot simulate the scene.
     """
+    check_folder(out, resume)
     t = training or Training()
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     mjx = (t.engine or open_engine().name) == "mjx"
@@ -171,6 +175,13 @@ def train(
     script = None
     if setting.robot is not None and setting.mount is not None:
         script = arm_script(task, setting.robot, setting.mount)
+        if script is None:
+            reach = reachable(task.task, setting.robot, setting.mount)
+            log.warning(
+                "from its mount, the arm does not follow the task (%s): no episode starts along a "
+                "scripted motion",
+                reach.reason,
+            )
     return train_task(
         task, setting, out, variants=variants, script=script, training=t, options=options,
         reward=reward, resume=resume,
@@ -205,6 +216,7 @@ def train_task(
     t = training or Training()
     engine = t.engine or open_engine().name
     o = options or default_options(engine)
+    check_folder(out, resume)
     if t.steps < 1 or o.worlds < 1:
         raise SpecError(f"training: steps ({t.steps}) and worlds ({o.worlds}) must be positive")
     try:
@@ -240,6 +252,10 @@ def train_task(
     advance = ppo.make_update(policy_env, o)
     snapshots = [s for s in sorted(t.snapshots) if not (out / snapshot_name(s)).exists()]
     before = curve[-1]["seconds"] if curve else 0.0
+    if float(learner.steps) * 1000 >= t.steps:
+        log.warning(
+            "nothing to train: %s has had %d control steps", out, round(float(learner.steps) * 1000)
+        )
     started = written = reported = -np.inf
     while float(learner.steps) * 1000 < t.steps:
         learner, worlds, averages = advance(learner, worlds, pool)
@@ -267,6 +283,12 @@ def train_task(
     _write(out, policy, curve)
     draw_curve(curve, out / PICTURE)
     return policy
+
+
+def check_folder(out: Path, resume: bool) -> None:
+    """Raise SpecError if a folder has a policy whose training is not to be resumed."""
+    if not resume and (out / POLICY).exists():
+        raise SpecError(f"{out} has a policy: resume it (--resume), or name another folder (--out)")
 
 
 def snapshot_name(share: float) -> str:

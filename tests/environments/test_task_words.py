@@ -9,7 +9,7 @@ from neoworld_mjx.environments.task_words import task_of, task_request
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.mllm import Panel
 from neoworld_mjx.mllm.replay import Replay, Tape
-from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec, world_poses
 from tests.support.mechanisms import WOOD, geom, joint, part, single
 
 
@@ -82,6 +82,35 @@ def test_objects_are_named_by_their_words(scene, words, moved, relative_to):
 
 
 @pytest.mark.parametrize(
+    ("words", "by"),
+    [
+        ("push can", (0.1, 0.0)),
+        ("push can 0.2", (0.2, 0.0)),
+        ("push the can by 5 cm", (0.05, 0.0)),
+        ("push can 0.1 -0.05", (0.1, -0.05)),
+        ("push can 0 -12 cm", (0.0, -0.12)),
+    ],
+)
+def test_a_push_goes_as_far_as_is_said(scene, words, by):
+    goal, base = task_of(scene, words).goal, world_poses(scene)["table"]
+    moved = base.apply(goal.target) - world_poses(scene)["can"].pos
+    assert moved == pytest.approx((*by, 0.0), abs=1e-9)
+
+
+def test_a_number_of_a_name_is_no_amount(scene):
+    renamed = scene.model_copy(
+        update={
+            "objects": tuple(
+                item.model_copy(update={"name": "can_2"}) if item.name == "can" else item
+                for item in scene.objects
+            )
+        }
+    )
+    assert task_of(renamed, "lift can_2").goal.low == pytest.approx(0.1)
+    assert task_of(renamed, "lift can 2 by 20 cm").goal.low == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         (
@@ -96,6 +125,12 @@ def test_objects_are_named_by_their_words(scene, words, moved, relative_to):
         ("sing", "no verb of a task; valid are: reach, open"),
         ("put the can away", "say on or in which object"),
         ("lift the table", "fixed and cannot be moved"),
+        ("open cabinet-drawer_top 80", "80 is no share of the joint's range, such as 0.8 or 80 %"),
+        ("open cabinet-drawer_top -0.5", "-0.5 is no share"),
+        ("lift can 10", "10 is no height in m"),
+        ("push can 3 0", "3 is no displacement along x"),
+        ("place can on can", "cannot be placed on or in itself"),
+        ("don't open the top drawer", "say what to do"),
     ],
 )
 def test_words_that_fit_nothing_are_refused_with_the_choices(scene, words, message):
