@@ -61,8 +61,8 @@ SYSTEM = (
     "You name the robot task that an instruction asks for in a scene. Use only the kinds and the "
     "exact names that are listed. `name` is what the robot works on: a joint for open, close, "
     "press and turn, otherwise an object. `other` is the object on or in which it is placed. "
-    "`amount` is the share of a joint's range, a height or displacement along x in m, or an angle in "
-    "rad, or null; `aside` is a displacement along y in m."
+    "`amount` is the share of a joint's range, a height or displacement along x in m, or an angle "
+    "in rad, or null; `aside` is a displacement along y in m."
 )
 BOUNDS: dict[Kind, tuple[float, str]] = {
     "open": (1.0, "share of the joint's range, such as 0.8 or 80 %"),

@@ -158,7 +158,7 @@ def test_variants_are_the_kept_draws(scene):
 
 def test_a_flying_gripper_faces_the_handle_of_the_task(scene):
     assert gripper_of(task_of(scene, TASK)) == "chest-drawer_handle"
-    with pytest.raises(SpecError, match="works on block and not on a handle.*--robot panda"):
+    with pytest.raises(SpecError, match=r"works on block and not on a handle.*--robot panda"):
         gripper_of(task_of(scene, "reach block"))
 
 
