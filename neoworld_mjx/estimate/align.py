@@ -37,7 +37,7 @@ from .result import (
 from .rows.contacts import SceneGeoms
 from .rows.edges import camera_estimates
 from .rows.standing import Standing
-from .solve import NormalEquations, Source
+from .solve import NormalEquations
 from .unknowns import CAMERA, FOCAL, ROLL, Placement, Unknowns
 from .views import located_views
 
@@ -45,8 +45,6 @@ SAME_ASPECT = 0.02
 """Difference between the logarithms of two aspect ratios up to which they count as equal."""
 NO_CONTOUR = "no visible contour has different colors on its two sides"
 """Reason reported for objects without contour evidence."""
-NOT_CONFIRMED = "the pixels do not confirm the place that its contour suggests"
-"""Reason reported for objects whose contour the pixels contradict."""
 CALIBRATION = (1.85, 2.0, 1.1, 1.6)
 """Factors that multiply the standard deviations along the view, across the view, of the heading and
 of the log scale. They were set on the development half of the benchmark scenes. `neoworld
@@ -273,7 +271,7 @@ def _solution(
     images: Mapping[int, Sequence[LabImage | None]],
     stages: Sequence[AlignmentStage],
 ) -> Alignment:
-    unknowns, scene = problem.unknowns, problem.unknowns.scene
+    scene = problem.unknowns.scene
     reasons = {
         k: "it is see-through" for k, item in enumerate(scene.objects) if see_through(item.spec)
     }
@@ -287,37 +285,15 @@ def _solution(
         for stage in of_width:
             problem = replace(problem, misjudged=misjudged or stage.open_focal)
             for _ in range(stage.steps):
-                equations, _ = problem.linearized(x, images[width], stage, reasons)
+                equations = problem.linearized(x, images[width], stage, reasons)
                 x = equations.solved()
                 if stage.open_focal:
                     deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
                     misjudged = is_misjudged(float(x[FOCAL]), deviation)
     last = stages[-1]
-    equations, drawn = problem.linearized(x, images[last.width], last, reasons)
+    equations = problem.linearized(x, images[last.width], last, reasons)
     x = equations.solved()
-    contradicted: frozenset[int] = frozenset()
-    # Colors may contradict what a network says of depth, but not what a sensor measures.
-    depth = problem.evidence.depth
-    sources: tuple[Source, ...] = ("contour", "depth")
-    for source in sources if depth is not None and depth.kind != "metric" else sources[:1]:
-        image = images[last.width][0]
-        refused = () if image is None else problem.refused(equations, drawn, image.bins, source)
-        if not refused:
-            continue
-        if source == "contour":
-            reasons |= dict.fromkeys(refused, NOT_CONFIRMED)
-        else:
-            contradicted = frozenset(refused)
-            problem = replace(problem, without_depth=contradicted)
-        reset = equations.solved(without=refused, source=source)
-        for k in refused:
-            own = unknowns.own_columns(k)
-            x[own] = reset[own]
-        for _ in range(last.steps):
-            equations, drawn = problem.linearized(x, images[last.width], last, reasons)
-            x = equations.solved()
-    outcomes = problem.depth_outcomes(x, contradicted)
-    return _result(problem, x, equations, reasons, outcomes)
+    return _result(problem, x, equations, reasons, problem.depth_outcomes(x))
 
 
 def _result(
@@ -337,8 +313,8 @@ def _result(
     correlation = _correlation(unknowns, now, covariance)
     for k in unknowns.free.tolist():
         entries = x[unknowns.columns(k)]
-        evidence: EvidenceKind = "box" if k in equations.with_box else "none"
-        if k in equations.with_contour:
+        evidence: EvidenceKind = "box" if k in equations.shown["box"] else "none"
+        if k in equations.shown["contour"]:
             evidence = "pixels"
         reason = "" if evidence == "pixels" else reasons.get(k, NO_CONTOUR)
         uncertainty = _uncertainty(unknowns, now, k, covariance[unknowns.columns(k)])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ..config import AlignOptions
 from ..evidence.evidence import Evidence
@@ -20,7 +20,7 @@ from .depth_start import (
     with_measured_supports,
     with_places_kept,
 )
-from .image.colors import LabImage, is_supported, overlap, shown_at
+from .image.colors import LabImage
 from .image.lines import PITCH_RANGE, ROLL_RANGE, VerticalEdges
 from .prior import camera_deviations, edges_mislead, prior_precision
 from .result import DepthOutcome
@@ -31,7 +31,7 @@ from .rows.depth import SceneDepth
 from .rows.edges import edge_deviations, edges_of_photo, linearized_edges
 from .rows.linear import LinearEvidence, combined
 from .rows.standing import Standing
-from .solve import NormalEquations, Source
+from .solve import NormalEquations
 from .unknowns import Unknowns
 
 CAMERA_NAMES = ("pitch", "roll", "focal", "height")
@@ -41,10 +41,6 @@ COARSE_PX, FINE_PX = 320, 640
 PLANE_DEVIATIONS = {"pitch": math.radians(0.3), "roll": math.radians(0.3), "height": 0.01}
 """Standard deviations of the camera by the plane of a support: angles [rad], and log height. Flat
 objects on the support tilt the plane by up to .8 degrees; the noise of a sensor by .1."""
-CONTRADICTED = "the place that it suggests contradicts the object's colors or mask"
-"""Reason reported for objects whose depth is not used."""
-SAME_OVERLAP = 0.01
-"""Difference of intersections over union with a known mask up to which they count as equal."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +90,6 @@ class AlignmentProblem:
     """Mean of the prior; None for the composed scene."""
     plane: SupportPlane | None = None
     """Camera by the plane of a support; None without metric depth or such a plane."""
-    without_depth: frozenset[int] = frozenset()
-    """Indices of the objects whose depth is ignored."""
     boxes_only: bool = False
     """True if 2D boxes are the only evidence."""
 
@@ -192,15 +186,8 @@ class AlignmentProblem:
         scene = with_measured_supports(scene, problem.depth_at(x))
         return replace(problem, unknowns=unknowns_of(scene))
 
-    def depth_outcomes(
-        self, x: Float[np.ndarray, " u"], refused: Collection[int]
-    ) -> dict[int, DepthOutcome]:
-        """Return what the depth image says of each free object, by index.
-
-        Args:
-            x: values of the unknowns after the alignment.
-            refused: indices of the objects whose depth was not used.
-        """
+    def depth_outcomes(self, x: Float[np.ndarray, " u"]) -> dict[int, DepthOutcome]:
+        """Return what the depth image says of each free object at `x`, by index."""
         if self.evidence.depth is None:
             return {}
         unknowns = self.unknowns
@@ -213,8 +200,7 @@ class AlignmentProblem:
             rise = sum(x[u] for u in unknowns.rise_columns(k))
             start = last if first is None else first
             was, now = (float(np.median(np.abs(pixels.residual))) for pixels in (start, last))
-            reason = CONTRADICTED if k in refused else ""
-            found[k] = DepthOutcome(len(last.residual), was, now, float(rise), reason)
+            found[k] = DepthOutcome(len(last.residual), was, now, float(rise))
         return found
 
     def depth_at(self, x: Float[np.ndarray, " u"]) -> SceneDepth:
@@ -230,8 +216,8 @@ class AlignmentProblem:
         images: Sequence[LabImage | None],
         stage: AlignmentStage,
         silent: Collection[int],
-    ) -> tuple[NormalEquations, DrawnObjects]:
-        """Return the normal equations at `x`, and the objects rendered at `x`.
+    ) -> NormalEquations:
+        """Return the normal equations at `x`.
 
         Args:
             x: values of the unknowns.
@@ -271,8 +257,8 @@ class AlignmentProblem:
         if depth is not None:
             for k in range(len(unknowns.scene.objects)):
                 rows = depth.evidence(neighbors, k, stage.depth_reach)
-                if rows is not None and k not in self.without_depth:
-                    equations.add_depth(k, rows)
+                if rows is not None:
+                    equations.add("depth", k, rows)
         masks = self.masks_at(drawn)
         boxes: Mapping[str, Box2D | None]
         boxes = {item.name: item.box2d for item in unknowns.scene.objects}
@@ -291,7 +277,7 @@ class AlignmentProblem:
                     unknowns, here, near, seen, k, boxes.get(name), soft=stage.reach == 0
                 )
                 if box is not None:
-                    equations.add_box(k, box)
+                    equations.add("box", k, box)
                 if image is None or stage.reach == 0 or k in silent:
                     continue
                 contour = contour_evidence(
@@ -309,8 +295,8 @@ class AlignmentProblem:
                 if contour is not None:
                     contours.append(contour)
             if contours:
-                equations.add_contour(k, combined(contours))
-        return equations, drawn
+                equations.add("contour", k, combined(contours))
+        return equations
 
     def masks_at(self, drawn: DrawnObjects) -> dict[int, Bool[np.ndarray, "row column"]]:
         """Return the known masks at the size of a rendering, by index of the object."""
@@ -350,31 +336,3 @@ class AlignmentProblem:
         known = {} if self.plane is None else PLANE_DEVIATIONS
         given = {} if self.evidence.camera is None else self.evidence.camera.deviations()
         return known | given
-
-    def refused(
-        self,
-        equations: NormalEquations,
-        drawn: DrawnObjects,
-        bins: Int[np.ndarray, "row column"],
-        source: Source = "contour",
-    ) -> tuple[int, ...]:
-        """Return the objects whose colors contradict the evidence of a source.
-
-        They fit the photograph less well with this evidence than without.
-        """
-        unknowns = self.unknowns
-        now = unknowns.place(equations.solved()[None])[0]
-        refused = []
-        masks = self.masks_at(drawn)
-        used = equations.with_contour if source == "contour" else equations.with_depth
-        for k in (k for k in used if k in unknowns.free):
-            other = unknowns.place(equations.solved(without=(k,), source=source)[None])[0]
-            with_it, without = (shown_at(unknowns, place, drawn, k) for place in (now, other))
-            known = masks.get(k)
-            if known is None:
-                supported = is_supported(with_it, without, bins)
-            else:
-                supported = overlap(with_it, known) >= overlap(without, known) - SAME_OVERLAP
-            if not supported:
-                refused.append(k)
-        return tuple(refused)

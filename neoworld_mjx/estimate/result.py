@@ -36,8 +36,6 @@ class DepthOutcome:
     """Median absolute residual after the alignment [m]."""
     rise_m: float
     """Height above its support that the depths indicate [m]."""
-    refused: str
-    """Reason why the depths are not used; empty if they are."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """Normal equations of the estimate: the sum of all rows, its solution and its covariance."""
 
-from collections.abc import Collection
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,15 +17,12 @@ ACTIVE_SETS = 10
 
 GLOBAL_PRECISION = 1e-6
 """Prior precision of the scale and shift of a depth image, which its own rows determine."""
-Source = Literal["contour", "depth"]
-"""Evidence that `NormalEquations.solved` can omit."""
+Source = Literal["box", "contour", "depth"]
+"""Source of the evidence of an object: its 2D box, its contour or a depth image."""
 
 
 class NormalEquations:
-    """Normal equations of the unknowns, of all stretches, and of a depth image's scale and shift.
-
-    The evidence of contours and depths is stored by object, so that `solved` can omit it.
-    """
+    """Normal equations of the unknowns, all stretches, and a depth image's scale and shift."""
 
     def __init__(
         self,
@@ -53,14 +49,14 @@ class NormalEquations:
             prior[ends, ends] = GLOBAL_PRECISION
         self._prior, self._precision = prior, prior.copy()
         self._gradient = -prior[:, : unknowns.size] @ (x - mean)
-        self._blocks: dict[Source, dict[int, _Block]] = {"contour": {}, "depth": {}}
-        self._boxes: set[int] = set()
+        self.shown: dict[Source, set[int]] = {source: set() for source in get_args(Source)}
+        """Indices of the objects with evidence of each source, fixed supports included."""
         self._contacts = ContactGaps(np.zeros(0), np.zeros((0, len(prior))), np.zeros(0))
 
-    def add_box(self, k: int, evidence: LinearEvidence) -> None:
-        """Add the evidence of an object's 2D box."""
-        self._boxes.add(k)
-        self._add(self._block(k, evidence), 1.0, self._precision, self._gradient)
+    def add(self, source: Source, k: int, evidence: LinearEvidence) -> None:
+        """Add the evidence of an object."""
+        self.shown[source].add(k)
+        self._add(self._block(k, evidence))
 
     def add_camera(
         self, residual: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n 4"]
@@ -68,7 +64,7 @@ class NormalEquations:
         """Add evidence about the camera; residuals and Jacobian are in standard deviations."""
         camera = np.arange(jacobian.shape[1])
         block = _Block(camera, jacobian.T @ jacobian, jacobian.T @ residual)
-        self._add(block, 1.0, self._precision, self._gradient)
+        self._add(block)
 
     def add_contacts(self, contacts: ContactGaps) -> None:
         """Set the gaps between objects; `solved` penalizes steps that would make a gap negative."""
@@ -77,45 +73,9 @@ class NormalEquations:
             contacts = contacts._replace(jacobian=np.pad(contacts.jacobian, ((0, 0), (0, more))))
         self._contacts = contacts
 
-    def add_contour(self, k: int, evidence: LinearEvidence) -> None:
-        """Add the evidence of an object's contour, which `solved` can omit."""
-        self._add_source("contour", k, evidence)
-
-    def add_depth(self, k: int, evidence: LinearEvidence) -> None:
-        """Add the evidence of an object's depth, which `solved` can omit if the object is free."""
-        self._add_source("depth", k, evidence)
-
-    def _add_source(self, source: Source, k: int, evidence: LinearEvidence) -> None:
-        block = self._blocks[source][k] = self._block(k, evidence)
-        self._add(block, 1.0, self._precision, self._gradient)
-
-    @property
-    def with_contour(self) -> tuple[int, ...]:
-        """Indices of the objects with contour evidence."""
-        return tuple(self._blocks["contour"])
-
-    @property
-    def with_depth(self) -> tuple[int, ...]:
-        """Indices of the objects with depth evidence, fixed supports included."""
-        return tuple(self._blocks["depth"])
-
-    @property
-    def with_box(self) -> frozenset[int]:
-        """Indices of the objects whose 2D boxes were added as evidence."""
-        return frozenset(self._boxes)
-
-    def solved(
-        self, without: Collection[int] = (), *, source: Source = "contour"
-    ) -> Float[np.ndarray, " u"]:
-        """Return new values of the unknowns; known values stay 0.
-
-        Args:
-            without: indices of the objects whose evidence is omitted.
-            source: which evidence of these objects is omitted.
-        """
+    def solved(self) -> Float[np.ndarray, " u"]:
+        """Return new values of the unknowns; known values stay 0."""
         precision, gradient = self._precision.copy(), self._gradient.copy()
-        for k in without:
-            self._add(self._blocks[source][k], -1.0, precision, gradient)
         known = list(self._unknowns.known)
         precision[known, known] += GIVEN
         gradient[known] -= GIVEN * self._x[known]
@@ -155,10 +115,9 @@ class NormalEquations:
         weighted = jacobian * evidence.weight[:, None]
         return _Block(rows, jacobian.T @ weighted, weighted.T @ evidence.residual)
 
-    @staticmethod
-    def _add(block: "_Block", sign: float, precision: np.ndarray, gradient: np.ndarray) -> None:
-        precision[np.ix_(block.rows, block.rows)] += sign * block.precision
-        gradient[block.rows] += sign * block.gradient
+    def _add(self, block: "_Block") -> None:
+        self._precision[np.ix_(block.rows, block.rows)] += block.precision
+        self._gradient[block.rows] += block.gradient
 
 
 class _Block(NamedTuple):

@@ -59,11 +59,9 @@ def _depth(outcome: Mapping[str, Any], support: str) -> str:
     """Return the line on an object's depth, from the fields of `DepthOutcome`."""
     pixels = outcome["pixels"]
     if not pixels:
-        return f"not used: {outcome['refused'] or 'no pixel is measured'}"
+        return "not used: no pixel is measured"
     before, after = (_mm(outcome[key]) for key in ("before_m", "after_m"))
     residual = f"median residual {before} before and {after} after, {pixels} pixels"
-    if outcome["refused"]:
-        return f"not used: {outcome['refused']}; {residual}"
     rise = round(1000 * outcome["rise_m"])
     side = "above" if rise >= 0 else "below"
     return f"{residual}; puts it {abs(rise)} mm {side} {support}"

@@ -12,11 +12,8 @@ from neoworld_mjx.estimate.image.colors import (
     gain,
     is_supported,
     log_likelihood_ratio,
-    shown_at,
 )
 from neoworld_mjx.render.appearance import to_lab
-from neoworld_mjx.render.rasterize import draw_objects
-from tests.estimate import desk
 
 RED, GRAY, BLUE = (200, 30, 30), (128, 128, 128), (30, 40, 200)
 
@@ -96,22 +93,3 @@ def test_gain_without_evidence():
     plain = np.full(shape, bin_of(GRAY))
     assert gain(mask, disc(shape, (110, 120), 30), plain) == pytest.approx(0.0, abs=1e-6)
     assert not is_supported(mask, disc(shape, (110, 120), 30), plain)
-
-
-def test_a_mask_at_another_place_is_hidden_by_what_is_in_front():
-    scene = desk.on_desk(
-        (desk.block("front", 0.1, 0.1, 0.1, "red"), (-0.2, 0.0), 0.0, {}),
-        (desk.block("back", 0.1, 0.1, 0.1, "blue"), (0.1, 0.2), 0.0, {}),
-    )
-    unknowns = desk.unknowns_of(scene)
-    now = unknowns.place(np.zeros((1, unknowns.size)))[0]
-    meshes = [unknowns.mesh(now, k) for k in range(3)]
-    drawn = draw_objects(meshes, now.camera, 320)
-    assert np.array_equal(shown_at(unknowns, now, drawn, 2), drawn.owner == 2)
-    x = np.zeros(unknowns.size)
-    x[unknowns.columns(2)] = (-0.14, -0.2, 0.0, 0.0)
-    there = unknowns.place(x[None])[0]
-    mask = shown_at(unknowns, there, drawn, 2)
-    alone = draw_objects([unknowns.mesh(there, 2)], now.camera, 320).owner == 0
-    assert (mask & (drawn.owner == 1)).sum() == 0 < (alone & (drawn.owner == 1)).sum()
-    assert np.array_equal(mask, alone & (drawn.owner != 1))

@@ -290,7 +290,7 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
     masks = {"jar": {"composed": 0.8, "aligned": 0.953}}
 
     def row(evidence, reason="", change=None, **more):
-        change = {} if change is None else {"depth": depth | {"refused": ""} | change}
+        change = {} if change is None else {"depth": depth | change}
         _align(finished, {"jar": _place(evidence, reason, **change)}, **more)
         return _evidence_of(finished, "jar")
 
@@ -301,13 +301,12 @@ def test_each_kind_of_evidence_has_a_line_for_each_object(finished):
         "depth median residual 12 mm before and 2.1 mm after, 345 pixels; puts it 19 mm above table"
     ) in words
     assert "mask IoU composed 0.80, aligned 0.95" in words
-    words = row("box", "it is see-through", {"refused": "colors contradict it"}, masks_iou={})
+    words = row("box", "it is see-through", masks_iou={})
     assert "contour not used: it is see-through" in words
-    assert "depth not used: colors contradict it; median residual 12 mm" in words
     assert "above" not in words and "mask none" in words
     assert "puts it 4 mm below table" in row("pixels", change={"rise_m": -0.0041})
-    words = row("pixels", change={"pixels": 0, "refused": "fewer than 20 pixels"})
-    assert "depth not used: fewer than 20 pixels" in words and "residual" not in words
+    words = row("pixels", change={"pixels": 0})
+    assert "depth not used: no pixel is measured" in words and "residual" not in words
     assert "depth" not in row("pixels") and "mask" not in row("pixels")
 
 

@@ -62,7 +62,7 @@ def test_a_joint_moves_its_part_and_the_simulation_starts_there(cabinet):
 def test_viewer_names_the_evidence_of_an_object(tmp_path):
     scene = scenes.coffee()
     known = PoseUncertainty(along=0.004, across=0.001, yaw=0.03, log_scale=0.02)
-    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.0, "refused": ""}
+    depth = {"pixels": 90, "before_m": 0.02, "after_m": 0.001, "rise_m": 0.0}
     change = {"evidence": "none", "reason": "it is hidden", "depth": depth}
     with RunFolder(tmp_path / "out", Config()) as run, run.step("compose", {}) as stage:
         (stage / "compose").mkdir()

@@ -17,8 +17,7 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filte
 from scipy.spatial import KDTree
 
 from ...render.appearance import to_lab
-from ...render.rasterize import DrawnObjects, draw_objects, window_of
-from ..unknowns import Placement, Unknowns
+from ...render.rasterize import window_of
 
 BINS = 24
 """Number of bins of a histogram along each axis."""
@@ -275,18 +274,6 @@ LEAST_GAIN = 0.02
 """Least mean log likelihood ratio of the pixels in only one of two masks [nats] that counts as
 evidence for a mask. The colors of neighboring pixels are correlated, so a large sum of small ratios
 is no evidence."""
-
-
-def shown_at(
-    unknowns: Unknowns, place: Placement, drawn: DrawnObjects, k: int
-) -> Bool[np.ndarray, "row column"]:
-    """Return the mask of the pixels that show an object in a placement.
-
-    The other objects occlude it as in `drawn`.
-    """
-    alone = draw_objects([unknowns.mesh(place, k)], place.camera, drawn.owner.shape[1])
-    free = (drawn.owner == k) | (alone.depth <= drawn.depth)
-    return (alone.owner == 0) & free
 
 
 def is_supported(
