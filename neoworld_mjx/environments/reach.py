@@ -128,7 +128,8 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
             return best[1]
     why = max(set(reasons), key=reasons.count) if reasons else "there is no free place"
     raise SpecError(
-        f"task {task.instruction!r}: the robot reaches it from no place ({why}); give a mount"
+        f"task {task.instruction!r}: the robot reaches it from no place ({why}): "
+        "name another robot, or where this one stands (mount)"
     )
 
 
