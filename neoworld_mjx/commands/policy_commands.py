@@ -1,7 +1,6 @@
 """Commands `sample`, `train`, `evaluate` and `play`: draws of a scene, and policies in them."""
 
 import json
-import logging
 import math
 from collections import Counter
 from dataclasses import dataclass
@@ -66,8 +65,6 @@ class TrainCommand(Command):
         from ..environments.own_reward import read_reward
         from ..environments.policy import POLICY
         from ..environments.robots import Mount
-        from ..environments.simplified_scene import scene_without
-        from ..environments.task_words import task_of
         from ..environments.training import (
             CURVE,
             Training,
@@ -100,8 +97,6 @@ class TrainCommand(Command):
             horizon=self.horizon,
             delay_steps=self.delay_steps,
         )
-        goal = task_of(scene_without(scene, self.without), self.task).goal
-        logging.getLogger(__name__).info("goal: %s", goal.meaning())
         policy = train(
             scene,
             setting,

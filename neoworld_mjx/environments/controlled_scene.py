@@ -269,7 +269,7 @@ def controlled_scene(
         if mount is None:
             raise SpecError("a robot needs a mount, such as nw.Mount((x, y, z), yaw)")
         parts = read_robot(find_robot(robot), visual=visual, links=links, mjx=mjx)
-        attach_robot(model, parts, mount, _ground(spec, mount) if visual else None)
+        attach_robot(model, parts, mount, _surface_below(spec, mount) if visual else None)
     if not scene_drives and hand is None and parts is None:
         raise SpecError(f"scene {spec.name} has no joints to drive: add a gripper or a robot")
     mjm = model.compile()
@@ -287,7 +287,7 @@ def controlled_scene(
     return ControlledScene(compiled, mjm, qpos, ctrl, scene_drives, effector, errors)
 
 
-def _ground(scene: SceneSpec, mount: Mount) -> float | None:
+def _surface_below(scene: SceneSpec, mount: Mount) -> float | None:
     """Return the top of the environment below a base [m]; None if there is nothing."""
     poses, tops = world_poses(scene), []
     for item in (item for item in scene.objects if item.environment):

@@ -85,8 +85,8 @@ class MjxSteps:
 
 
 PROBE_STEPS, PROBE_ACTIONS = 400, 8
-HAND_ROWS = 256
-"""Least number of constraints of a world: six rows for each of some forty contacts of a hand."""
+LEAST_ROWS = 256
+"""Least number of constraints of a world: 160 were too few for a Panda that worked on a door."""
 
 
 def capacity(controlled: ControlledScene) -> tuple[int, int]:
@@ -94,8 +94,8 @@ def capacity(controlled: ControlledScene) -> tuple[int, int]:
 
     They are two and four times the largest numbers in C MuJoCo under random controls, because
     MuJoCo Warp may generate more contact points, its pool also holds pairs that pass the broad
-    phase, and a policy makes other contacts, for a hand full of which there is always memory. Warp
-    prints a line if they do not suffice.
+    phase, and a policy makes other contacts; constraints are at least `LEAST_ROWS`. Warp prints a
+    line if they do not suffice.
     """
     model, rng = controlled.model, np.random.default_rng(0)
     contacts, constraints = 0, 0
@@ -108,5 +108,5 @@ def capacity(controlled: ControlledScene) -> tuple[int, int]:
             mujoco.mj_step(model, data, 20)
             contacts, constraints = max(contacts, data.ncon), max(constraints, data.nefc)
     pool = 2 * contacts + 32
-    rows = max(4 * max(constraints, 4 * contacts) + 64, HAND_ROWS)
+    rows = max(4 * max(constraints, 4 * contacts) + 64, LEAST_ROWS)
     return -(-pool // 16) * 16, -(-rows // 32) * 32

@@ -64,8 +64,11 @@ SYSTEM = (
     "`amount` is the share of a joint's range, a height or displacement along x in m, or an angle "
     "in rad, or null; `aside` is a displacement along y in m."
 )
+SHARE = "share of the joint's range, such as 0.8 or 80 %"
 BOUNDS: dict[Kind, tuple[float, str]] = {
-    "open": (1.0, "share of the joint's range, such as 0.8 or 80 %"),
+    "open": (1.0, SHARE),
+    "close": (1.0, SHARE),
+    "press": (1.0, SHARE),
     "turn": (2 * math.pi, "angle in rad, such as 1.5 or 90 deg"),
     "lift": (2.0, "height in m, such as 0.1 or 10 cm"),
     "push": (2.0, "displacement along x (and y) in m, such as 0.1 or 0.1 -0.05"),
@@ -117,21 +120,22 @@ def make_task(scene: SceneSpec, named: NamedTask) -> Task:
             bounds.
     """
     a, aside = named.amount, named.aside or 0.0
+    given = () if a is None else (a,)
     if a is not None and named.kind in BOUNDS:
         most, meaning = BOUNDS[named.kind]
         size = math.hypot(a, aside) if named.kind == "push" else abs(a)
-        if not 0 < size <= most or (a < 0 and named.kind in ("open", "lift")):
+        if not 0 < size <= most or (a < 0 and named.kind not in ("turn", "push")):
             raise SpecError(
                 f"task {named.kind} {named.name}: {a:g} is no {meaning}; at most {most:.3g}"
             )
     makers: dict[Kind, Callable[[], Task]] = {
         "reach": lambda: reach(scene, named.name),
-        "open": lambda: open_joint(scene, named.name, 0.8 if a is None else a),
-        "close": lambda: close_joint(scene, named.name),
-        "press": lambda: press(scene, named.name),
-        "turn": lambda: turn(scene, named.name, *(() if a is None else (a,))),
-        "push": lambda: push(scene, named.name, (0.1 if a is None else a, aside)),
-        "lift": lambda: lift(scene, named.name, 0.1 if a is None else a),
+        "open": lambda: open_joint(scene, named.name, *given),
+        "close": lambda: close_joint(scene, named.name, *given),
+        "press": lambda: press(scene, named.name, *given),
+        "turn": lambda: turn(scene, named.name, *given),
+        "push": lambda: push(scene, named.name, *(() if a is None else ((a, aside),))),
+        "lift": lambda: lift(scene, named.name, *given),
         "place": lambda: place(
             scene, named.name, **{"in_" if named.inside else "on": named.other or ""}
         ),
@@ -172,7 +176,7 @@ def _matched(scene: SceneSpec, words: str) -> NamedTask:
     if kind in JOINT_KINDS:
         name = _named(text, spoken, joints, "joint")
         amount, _, unit = _amounts(spoken, name)
-        if amount is not None and kind == "open" and unit in UNITS:
+        if amount is not None and kind != "turn" and unit in UNITS:
             owner, part = name.split("-", 1)
             moved = next(j for j in scene.object(owner).spec.joints if j.child == part)
             amount /= max(moved.upper - moved.lower, 1e-6)

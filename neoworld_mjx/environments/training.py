@@ -164,11 +164,11 @@ def train(
             resumed, or the policy is of another training.
         EngineError: the engine cannot run here or cannot simulate the scene.
     """
-    check_folder(out, resume)
     t = training or Training()
     scene = run if isinstance(run, SceneSpec) else read_scene(Path(run))
     mjx = (t.engine or open_engine().name) == "mjx"
     task = task_scene(scene, setting, mjx=mjx, colliders=t.colliders)
+    log.info("goal: %s", task.task.goal.meaning())
     for name, error in task.controlled.collider_errors.items():
         report(f"coarse colliders of {name} exceed the exact ones by {1000 * error:.0f} mm")
     variants = scene_variants(task.controlled, t.samples, t.seed)

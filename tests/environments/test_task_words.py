@@ -56,6 +56,8 @@ def scene():
         ("open the top drawer halfway", "drawer_top_slide", (0.5, 1.1)),
         ("open cabinet-drawer_top 0.7", "drawer_top_slide", (0.7, 1.1)),
         ("push the bottom drawer closed", "drawer_bottom_slide", (-0.1, 0.1)),
+        ("close the bottom drawer to 20 %", "drawer_bottom_slide", (-0.1, 0.2)),
+        ("press cabinet-drawer_top 0.3", "drawer_top_slide", (0.3, 1.1)),
     ],
 )
 def test_joints_are_named_by_their_words(scene, words, joint_name, bounds):
@@ -127,6 +129,7 @@ def test_a_number_of_a_name_is_no_amount(scene):
         ("lift the table", "fixed and cannot be moved"),
         ("open cabinet-drawer_top 80", "80 is no share of the joint's range, such as 0.8 or 80 %"),
         ("open cabinet-drawer_top -0.5", "-0.5 is no share"),
+        ("close cabinet-drawer_top 3", "3 is no share"),
         ("lift can 10", "10 is no height in m"),
         ("push can 3 0", "3 is no displacement along x"),
         ("place can on can", "cannot be placed on or in itself"),

@@ -52,7 +52,7 @@ KINDS: tuple[TaskKind, ...] = ("opening", "closing", "pushing", "placement")
 HORIZON, ROBOT_HORIZON = 125, 200
 """Actions of an episode of a flying gripper, and of a robot, which is slower."""
 END = ("qpos", "qvel", "act", "ctrl")
-"""What the judge takes from the end of an episode."""
+"""Fields of the state at the end of an episode, from which the judge continues."""
 SNAPSHOTS = (0.1, 0.3, 1.0)
 """Shares of a training after which its policy is run."""
 
