@@ -239,7 +239,10 @@ class SampleCommand(ConfiguredCommand):
         options = config.refine
         if (self.target / "run.json").is_file() and self.config is None and not self.set:
             options = run_options(self.target, {}).refine
-        samples = sample(scene, self.n, seed=self.seed, options=options)
+        # Kernels of an accelerator compile for minutes, so they are used only if named.
+        engine = options.rollout.engine
+        engine = "native" if engine == "auto" else engine
+        samples = sample(scene, self.n, seed=self.seed, options=options, engine=engine)
         file = (self.target if self.target.is_dir() else self.target.parent) / SAMPLES
         samples.write(file)
         if folder is not None:

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from ..estimate.rows.contacts import ContactGaps, SceneGeoms, contacts
+from ..estimate.rows.contacts import ContactGaps, Gap, SceneGeoms, contacts
 from ..estimate.rows.standing import Standing
-from ..estimate.unknowns import CAMERA, EACH, Unknowns
+from ..estimate.unknowns import CAMERA, EACH, Placement, Unknowns
 from ..physics.layout import Layout
 from ..physics.model import CompiledScene
 from ..physics.photo_view import default_camera
@@ -111,28 +111,35 @@ class SceneContacts:
     @cached_property
     def at_scene(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n normal"]]:
         """Gaps of the scene itself, and their derivatives."""
-        return self.linearized(np.zeros(self.factor.shape[1] + 2 * len(self.walls)))
+        start = np.zeros(self.factor.shape[1] + 2 * len(self.walls))
+        return self.linearized(start, self.gaps(start))
 
-    def linearized(
-        self, values: Float[np.ndarray, " v"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n v"]]:
-        """Return the gaps of a draw [m], and their derivatives.
+    def placements(self, values: Float[np.ndarray, " v"], *, near: bool) -> list[Placement]:
+        """Return the placement of a draw, or those of `Unknowns.neighbors` near it.
 
         Args:
             values: normal numbers, followed by the shifts x and y of each wall, in WALL_M.
+            near: True for the neighbors.
         """
         u, count = self.unknowns, self.factor.shape[1]
         x = self.to_unknowns @ values[:count]
         moved = np.zeros((len(self.scene.spec.objects), 3))
         moved[:, :2] = WALL_M * (self.on_wall.T @ values[count:].reshape(-1, 2))
-        now, *neighbors = (
-            replace(place, pos=place.pos + moved) for place in [*u.place(x[None]), *u.neighbors(x)]
-        )
-        gaps = [
-            *contacts(self.colliders, u, now, REACH_M),
-            *self.standing.insets(u, now),
-        ]
-        rows = ContactGaps.of(gaps, u, now, neighbors)
+        placed = u.neighbors(x) if near else u.place(x[None])
+        return [replace(place, pos=place.pos + moved) for place in placed]
+
+    def gaps(self, values: Float[np.ndarray, " v"]) -> list[Gap]:
+        """Return the gaps of a draw."""
+        (now,) = self.placements(values, near=False)
+        found = contacts(self.colliders, self.unknowns, now, REACH_M)
+        return [*found, *self.standing.insets(self.unknowns, now)]
+
+    def linearized(
+        self, values: Float[np.ndarray, " v"], gaps: list[Gap]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n v"]]:
+        """Return the gaps of a draw [m], and their derivatives."""
+        u, (now,) = self.unknowns, self.placements(values, near=False)
+        rows = ContactGaps.of(gaps, u, now, self.placements(values, near=True))
         by_wall = np.zeros((len(gaps), len(self.walls), 2))
         for row, gap in zip(by_wall, gaps, strict=True):
             for point in gap.points:
@@ -149,9 +156,10 @@ class SceneContacts:
         now, (gap, jacobian) = np.zeros_like(drawn), self.at_scene
         for step in range(STEPS):
             if step:
-                gap, jacobian = self.linearized(now)
-                if gap.min(initial=0.0) > -FIT_M:
+                gaps = self.gaps(now)
+                if min((gap.value for gap in gaps), default=0.0) > -FIT_M:
                     break
+                gap, jacobian = self.linearized(now, gaps)
             now = drawn + _forced(gap + jacobian @ (drawn - now), jacobian)
         return now
 

@@ -22,6 +22,7 @@ from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
 from ..measure import SceneMeasure, passes, rest_and_measure, resting, scene_checks
 from ..physics.colliders import pair_distance
+from ..physics.engine import Engine, open_engine
 from ..physics.layout import Layout, Poses, Variation
 from ..physics.model import SceneModel, compile_scene
 from ..physics.posterior import Draws, PhysicalPrior, draw, draw_again
@@ -180,14 +181,15 @@ def sample(
     max_px: float = MAX_PX,
     redraws: int = REDRAWS,
     sizes: bool = True,
+    engine: str | Engine = "native",
 ) -> SceneSamples:
     """Draw scenes that a photograph allows.
 
     Poses, sizes and the camera are drawn from the estimate about the scene, with its
     correlations and contacts; densities, frictions, losses and openings of joints are drawn from
     priors.
-    Every draw is placed on its supports, settled and checked like a refined scene, all in one batch
-    of C MuJoCo. The objects that are the reason of a refusal are drawn again.
+    Every draw is placed on its supports, settled and checked like a refined scene, all in one
+    batch. The objects that are the reason of a refusal are drawn again.
 
     Args:
         scene: the scene, compiled or not, a scene.json or a run folder.
@@ -201,10 +203,11 @@ def sample(
             reason, and those that touch them, are drawn again.
         sizes: if False, all objects keep their sizes, and draws are not compared with the pixels,
             where an object that is farther away would have to be larger.
+        engine: engine that settles the draws, or its name. C MuJoCo checks them in any case.
 
     Raises:
         SpecError: there is no scene, or `n` is not positive.
-        EngineError: a draw has more contacts than MuJoCo's memory holds.
+        EngineError: the engine cannot run, or a draw has more contacts than MuJoCo's memory holds.
     """
     if n < 1:
         raise SpecError(f"sample: n is {n}, not a positive number of draws")
@@ -213,7 +216,9 @@ def sample(
     model = compile_scene(scene, timestep=0.002) if isinstance(scene, SceneSpec) else scene
     o, rng = options or RefineOptions(), np.random.default_rng(seed)
     contacts, touching = SceneContacts(model, sizes), _touching(model)
-    settled = lambda drawn: _settled(model, contacts, drawn, o, max_px if sizes else math.inf, seed)
+    opened = open_engine(engine) if isinstance(engine, str) else engine
+    limit = max_px if sizes else math.inf
+    settled = lambda drawn: _settled(model, contacts, drawn, o, limit, seed, opened)
     samples = settled(draw(model, rng, n, prior))
     for _ in range(redraws):
         rows = np.flatnonzero(samples.at_fault.any(axis=1))
@@ -232,13 +237,14 @@ def _settled(
     o: RefineOptions,
     max_px: float,
     seed: int,
+    engine: Engine,
 ) -> SceneSamples:
     """Settle and check draws, from where contacts place them."""
     placed = contacts.kept(drawn)
     layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), placed.layouts)
     start = model.place_exactly(layouts)
     start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
-    poses, measures = rest_and_measure(model, start, o, stop_early=True)
+    poses, measures = rest_and_measure(model, start, o, engine=engine, stop_early=True)
     cameras = tuple(moved_camera(contacts.unknowns, change) for change in placed.camera)
     shift, diagonal = _box_shifts(model, poses, cameras)
     excess = shift - max_px - MAX_SHARE * diagonal

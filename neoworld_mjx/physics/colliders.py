@@ -7,6 +7,7 @@ simulates the scene. Measures of scenes use MuJoCo's `mj_geomDistance`.
 import jax
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from neoworld_kernels import Colliders, PieceGroup
 from numpy.typing import NDArray
 
@@ -109,15 +110,17 @@ def pair_distance(
 ) -> float:
     """Return the smallest signed distance [m] between two sets of geoms, at most `reach`.
 
-    A negative distance is a penetration depth. Pairs of geoms whose bounding spheres are farther
-    apart are skipped.
+    A negative distance is a penetration depth. Pairs of geoms whose bounding spheres or boxes are
+    farther apart are skipped.
     """
     nearest = reach
-    gaps = _sphere_gaps(model, data, first, second)
-    for a, b in np.argwhere(gaps < reach).tolist():
-        if gaps[a, b] < nearest:
-            pair = int(first[a]), int(second[b])
-            nearest = min(nearest, geom_distance(model, data, *pair, nearest))
+    rows = np.argwhere(_sphere_gaps(model, data, first, second) < reach)
+    a, b = first[rows[:, 0]], second[rows[:, 1]]
+    gaps = _box_gaps(model, data, a, b)
+    for k in np.argsort(gaps, kind="stable").tolist():
+        if gaps[k] >= nearest:
+            break
+        nearest = min(nearest, geom_distance(model, data, int(a[k]), int(b[k]), nearest))
     return float(nearest)
 
 
@@ -127,6 +130,24 @@ def _sphere_gaps(
     """Return the gaps [first, second] between the bounding spheres of geoms [m]."""
     apart = np.linalg.norm(data.geom_xpos[second] - data.geom_xpos[first, None], axis=-1)
     return apart - model.geom_rbound[second] - model.geom_rbound[first, None]
+
+
+def _box_gaps(
+    model: mujoco.MjModel, data: mujoco.MjData, a: NDArray, b: NDArray
+) -> Float[np.ndarray, " pair"]:
+    """Return the largest gap between the bounding boxes of pairs of geoms along their axes [m].
+
+    The distance of two geoms is at least this gap. It is negative for boxes that may overlap.
+    """
+    half = model.geom_aabb[:, 3:]
+    turn = data.geom_xmat.reshape(-1, 3, 3)
+    center = data.geom_xpos + np.einsum("gij,gj->gi", turn, model.geom_aabb[:, :3])
+    offset = center[b] - center[a]
+    relative = np.abs(np.einsum("nji,njk->nik", turn[a], turn[b]))
+    along = lambda g: np.abs(np.einsum("nji,nj->ni", turn[g], offset))
+    own = along(a) - half[a] - np.einsum("nij,nj->ni", relative, half[b])
+    other = along(b) - half[b] - np.einsum("nij,ni->nj", relative, half[a])
+    return np.maximum(own.max(axis=1), other.max(axis=1))
 
 
 def geom_distance(

@@ -6,6 +6,7 @@ within objects.
 """
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -28,9 +29,19 @@ def invweights(scene: CompiledScene, poses: Poses) -> dict[str, Any]:
     If all parts of an object have the same mass exponent m, inverse masses scale with s^-m and
     inverse inertias with s^-(m + 2), where s is the object's scale. Otherwise, the logarithms of
     MuJoCo's values at `KNOTS` scales are interpolated by cubics, with a relative error of 1e-6.
+    They are inversely proportional to factors of the masses; armatures are neglected there.
     Traceable.
     """
     s, m = scene.static, scene.static.mjm
+    if poses.variation is not None:
+        weights = invweights(scene, replace(poses, variation=None))
+        body, dof = (
+            owner_scale(poses.variation.mass, owner) for owner in (s.body_object, s.dof_object)
+        )
+        return {
+            "body_invweight0": weights["body_invweight0"] / body[..., None],
+            "dof_invweight0": weights["dof_invweight0"] / dof,
+        }
     body, dof = (owner_scale(poses.scale, owner) for owner in (s.body_object, s.dof_object))
     if _has_one_mass_exponent(s):
         mass = s.powers.body_mass

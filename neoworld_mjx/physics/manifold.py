@@ -58,11 +58,10 @@ class Solids(NamedTuple):
 
 
 class GeomPairs(NamedTuple):
-    """Pairs of geoms that may touch, with MuJoCo's contact parameters."""
+    """Pairs of geoms that may touch, with the contact parameters that candidates share."""
 
     first: Int[AnyArray, " pair"]
     second: Int[AnyArray, " pair"]
-    friction: Float[AnyArray, "pair 5"]
     solref: Float[AnyArray, "pair 2"]
     solimp: Float[AnyArray, "pair 5"]
 
@@ -110,12 +109,10 @@ def geom_pairs(m: mujoco.MjModel) -> GeomPairs:
     first, second = np.array(pairs, np.int32).reshape(-1, 2).T
     mix = m.geom_solmix[first] + m.geom_solmix[second]
     weight = (m.geom_solmix[first] / np.where(mix > 0, mix, 1.0))[:, None]
-    friction = np.maximum(m.geom_friction[first], m.geom_friction[second])
     blend = lambda x: (weight * x[first] + (1 - weight) * x[second]).astype(np.float32)
     return GeomPairs(
         first=first,
         second=second,
-        friction=friction[:, [0, 0, 1, 2, 2]].astype(np.float32),
         solref=blend(m.geom_solref),
         solimp=blend(m.geom_solimp),
     )

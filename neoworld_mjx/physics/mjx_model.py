@@ -187,7 +187,7 @@ MODEL_FIELDS = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "geom_pos", "geom_size"),
     *("geom_rbound", "geom_aabb", "jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange"),
     *("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
-    *("body_invweight0", "dof_invweight0"),
+    *("geom_friction", "body_invweight0", "dof_invweight0"),
 )
 
 MjxData = mjx.Data
@@ -463,6 +463,10 @@ def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.D
         return PosedSolid(solid, d.geom_xpos[g] - centre, d.geom_xmat[g], scale[g])
 
     contacts = manifolds(posed_solid(a), posed_solid(b), model.ellipsoids)
+    sliding, spinning, rolling = jnp.moveaxis(
+        jnp.maximum(model.mjx.geom_friction[a], model.mjx.geom_friction[b]), -1, 0
+    )
+    friction = jnp.stack([sliding, sliding, spinning, rolling, rolling], axis=-1)
     dist, deepest = jax.lax.top_k(-contacts.dist.reshape(-1), model.contacts)
     pair = deepest // PAIR_CONTACTS
     geom = jnp.stack([a[pair], b[pair]], axis=1)
@@ -471,7 +475,7 @@ def collide(model: MjxModel, d: mjx.Data, nearest: Int[Array, " near"]) -> mjx.D
         pos=contacts.pos.reshape(-1, 3)[deepest] + centre[pair],
         frame=jax.vmap(math.make_frame)(contacts.normal[pair]),
         includemargin=jnp.zeros(model.contacts),
-        friction=pairs.friction[pair],
+        friction=friction[pair],
         solref=pairs.solref[pair],
         solreffriction=jnp.zeros((model.contacts, 2)),
         solimp=pairs.solimp[pair],

@@ -17,7 +17,6 @@ from jaxtyping import Float, Int
 from mujoco.batch import Batch, SimulationError
 
 from ..config import SettleOptions
-from ..errors import EngineError
 from ..spec import SceneSpec
 from ..spec.pose import angle_between
 from .colliders import object_depths
@@ -90,11 +89,8 @@ def rest(
         stop_early: if True, candidates at rest are not settled to the end; see `settle`.
 
     Raises:
-        EngineError: the engine cannot simulate the scene, or `start` varies physical quantities
-            and the engine is not `native`.
+        EngineError: the engine cannot simulate the scene.
     """
-    if start.variation is not None and engine is not None and engine.name != "native":
-        raise EngineError(f"engine {engine.name} cannot vary masses and frictions; use native")
     start = jax.tree.map(lambda leaf: np.asarray(leaf, float), start)
     end = start
     if hold is not None:

@@ -226,6 +226,9 @@ def _prepare(scene: CompiledScene, poses: Poses) -> tuple[dict[str, Any], Any]:
     start = all_fields["qpos"]
     fields = {name: value for name, value in all_fields.items() if name not in _NOT_FIELDS}
     fields["body_subtreemass"] = subtree_mass(static, fields["body_mass"])
+    # A population without variations may follow one with them.
+    friction = jnp.broadcast_to(static.mjm.geom_friction, (len(start), static.mjm.ngeom, 3))
+    fields.setdefault("geom_friction", friction)
     xpos, xmat = static_geoms(static, fields["body_pos"], fields["body_quat"], fields["geom_pos"])
     fields |= {"geom_xpos": xpos, "geom_xmat": xmat}
     if static.mjm.nmesh:

@@ -253,7 +253,7 @@ _BATCHED = (
     *("body_pos", "body_quat", "body_ipos", "body_mass", "body_inertia", "body_subtreemass"),
     *("body_invweight0", "dof_invweight0", "geom_pos", "geom_size", "geom_rbound", "geom_aabb"),
     *("jnt_pos", "jnt_range", "jnt_stiffness", "jnt_actfrcrange", "dof_armature", "dof_damping"),
-    *("dof_frictionloss", "qpos0", "qpos_spring", "eq_data"),
+    *("dof_frictionloss", "geom_friction", "qpos0", "qpos_spring", "eq_data"),
 )
 _DATA = ("geom_xpos", "geom_xmat")
 

@@ -12,13 +12,11 @@ from neoworld_mjx.commands.policy_commands import SampleCommand
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.contact_draws import SceneContacts
 from neoworld_mjx.environments.samples import SceneSamples
-from neoworld_mjx.errors import EngineError, RunError, SpecError
+from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.measure import scene_measure
-from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.model_fields import model_fields
 from neoworld_mjx.physics.posterior import PhysicalPrior, draw, draw_again
-from neoworld_mjx.physics.rest import rest
 from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.scene import PoseUncertainty
@@ -314,8 +312,6 @@ def test_bad_input_gets_one_line(samples):
         PoseCorrelation(objects=("one", "two"), lower=(0.5,))
     with pytest.raises(ValueError, match="from -1 to 1"):
         PoseCorrelation(objects=(), lower=(1.5,))
-    with pytest.raises(EngineError, match="mjx cannot vary masses"):
-        rest(samples.model, samples.poses, hold=None, free_s=0.1, engine=MjxEngine())
 
 
 def test_the_code_of_the_page_runs(tmp_path, monkeypatch, capsys):

@@ -1,11 +1,13 @@
 """Motion under a tilted pull: what rests, slides, topples, rolls and falls shut, as it should."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from neoworld_mjx.physics.engine import RolloutStatus
-from neoworld_mjx.physics.layout import Layout
+from neoworld_mjx.physics.layout import Layout, Variation
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import Box, HollowBox, Material, ObjectSpec, Sphere, recentred
@@ -54,12 +56,21 @@ def slope():
 
 @pytest.fixture(scope="module")
 def rollouts(slope):
-    """Candidate 1 has the tall block 4 mm inside the sliding one; 2 is not a number."""
-    xy = np.zeros((4, 6, 2), np.float32)
+    """Candidate 1 has the tall block 4 mm inside the sliding one; 2 is not a number.
+
+    In candidate 4, the ice is rough, the block at rest is slippery, the ball is ten times as heavy,
+    and the lid less open.
+    """
+    xy = np.zeros((5, 6, 2), np.float32)
     xy[1, 3, 1] = -0.099
     xy[2, 1] = np.nan
-    still = Layout.zero(4, 6)
-    poses = slope.place(Layout(jnp.asarray(xy), still.yaw, still.log_scale))
+    still = Layout.zero(5, 6)
+    ones, opening = np.ones((5, 6), np.float32), np.zeros((5, 1), np.float32)
+    mass, friction = ones.copy(), ones.copy()
+    friction[4, [1, 2]], mass[4, 4], opening[4] = (0.1, 6.0), 10.0, -0.5
+    variation = Variation(mass, friction, ones[:, :1], ones[:, :1], opening)
+    placed = slope.place(Layout(jnp.asarray(xy), still.yaw, still.log_scale))
+    poses = replace(placed, variation=variation)
     ours = MjxEngine().rollout(slope, poses, duration=DURATION)
     return ours, NativeEngine().rollout(slope, poses, duration=DURATION)
 
@@ -106,5 +117,15 @@ def test_overlap_is_pushed_apart_without_an_explosion(slope, rollouts):
 
 def test_a_candidate_that_is_not_a_number_fails_alone(rollouts):
     ours, _ = rollouts
-    assert ours.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0]
+    assert ours.status.tolist() == [0, 0, int(RolloutStatus.FAILED), 0, 0]
     assert np.array_equal(ours.pos[0], ours.pos[3])
+
+
+def test_masses_frictions_and_openings_vary(slope, rollouts):
+    ours, theirs = rollouts
+    assert np.linalg.norm(moved(ours, "slide", slope)[4]) < 1e-3
+    assert moved(ours, "rest", slope)[4, 0] > 0.1
+    for name in ("slide", "rest", "ball"):
+        apart = moved(ours, name, slope)[4] - moved(theirs, name, slope)[4]
+        assert np.linalg.norm(apart) < 5e-3, name
+    assert np.asarray(ours.joint_shift)[4, -1, 0] == pytest.approx(0.3, abs=0.05)

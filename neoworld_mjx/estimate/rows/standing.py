@@ -40,6 +40,8 @@ class Standing:
     """[kg]"""
     center: Float[np.ndarray, "object 3"]
     """Composed center of mass of each object in its frame [m]."""
+    extent: Float[np.ndarray, "object 2 3"]
+    """Low and high corners of each object's bounding box in its frame [m]."""
     supports: tuple[tuple[int, int], ...] = ()
     """Index of each object that stays over its support, and of the support."""
 
@@ -62,7 +64,8 @@ class Standing:
             at.inverse().apply(middle[None])[0]
             for at, middle in zip(world_poses(scene).values(), middles, strict=True)
         ]
-        standing = cls(mass, np.array(centers))
+        extent = np.array([bounds(item.spec, item.joint_state) for item in scene.objects])
+        standing = cls(mass, np.array(centers), extent)
         return replace(standing, supports=_on_one_support(standing, unknowns, parsed=parsed))
 
     def insets(self, unknowns: Unknowns, now: Placement) -> Iterator[Gap]:
@@ -83,8 +86,7 @@ class Standing:
             for i, share in zip(load.tolist(), shares.tolist(), strict=True)
         )
         middle = np.sum([point.share * point.position for point in points], axis=0)
-        item = unknowns.scene.objects[support]
-        low, high = np.array(bounds(item.spec, item.joint_state))
+        low, high = self.extent[support]
         for axis in range(2):
             inset = min(INSET * float((high - low)[axis]), MOST_INSET_M)
             for edge, sign in ((low, 1.0), (high, -1.0)):
@@ -113,8 +115,8 @@ def _on_one_support(
         if not np.allclose(items[support].base_tilt, IDENTITY):
             continue
         outside = -min(gap.value for gap in standing.edges(unknowns, now, k, support))
-        low, high = bounds(item.spec, item.joint_state)
-        shorter, longer = sorted(np.subtract(high, low)[:2].tolist())
+        low, high = standing.extent[k]
+        shorter, longer = sorted((high - low)[:2].tolist())
         compact = parsed and longer < ELONGATED * shorter
         if outside < (FAR_PARSED if compact else FAR) * longer:
             found.append((k, support))
