@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError, choices
-from ..export.link_frames import Frame, frames
+from ..export.link_frames import Frame, frames, handle_at
 from ..physics.gripper import CLOSED_M, OPENING_M, PREFIX, Gripper
-from ..spec import SceneObject, SceneSpec, bounds, link_poses, world_poses
+from ..spec import SceneObject, SceneSpec, Vec3, bounds, link_poses, world_poses
 from ..spec.pose import Pose, from_matrix, rotate
 from .arm import SceneState
 
@@ -106,8 +106,18 @@ def facing(scene: SceneSpec, name: str) -> Gripper:
     return Gripper((x, y, z), (w, i, j, k), OPENING_M)
 
 
-def facing_pose(scene: SceneSpec, name: str) -> Pose:
+def facing_pose(
+    scene: SceneSpec, name: str, at: Vec3 | None = None, *, from_side: bool = False
+) -> Pose:
     """Return the pose of a tool at a handle that points against the handle's opening direction.
+
+    Args:
+        scene: the scene.
+        name: name of the handle, such as cabinet-drawer_handle.
+        at: another point of the handle's part, which the tool holds instead [m], in the object's
+            frame with all joints at zero.
+        from_side: if True, the tool comes from the side of the object's box that is nearest to the
+            handle instead: the lid of a chest opens upward, and is gripped from the front.
 
     Raises:
         SpecError: the scene has no handle with this name.
@@ -116,19 +126,22 @@ def facing_pose(scene: SceneSpec, name: str) -> Pose:
     if name not in by_name:
         raise SpecError(f"scene {scene.name}: handle: {choices(name, sorted(by_name))}")
     item, frame = by_name[name]
+    frame = frame if at is None else handle_at(item.spec, frame, at)
     assert frame.joint is not None and frame.half is not None
     world = world_poses(scene)[item.name].then(link_poses(item.spec, item.joint_state)[frame.part])
     point = world.apply(frame.pos)
     joint = item.spec.joint(frame.joint)
-    opens = np.array(joint.axis)
+    opens, box = np.array(joint.axis), np.array(bounds(item.spec))
     if joint.type != "prismatic":
         opens = np.cross(opens, np.array(frame.pos) - np.array(joint.pos))
         if np.linalg.norm(opens) < 1e-6:
             opens = np.array(joint.axis)
     opens = opens / np.linalg.norm(opens)
-    middle = np.mean(bounds(item.spec), axis=0)
-    if joint.type == "prismatic" and opens @ (np.array(frame.pos) - middle) < 0:
+    if joint.type == "prismatic" and opens @ (np.array(frame.pos) - box.mean(axis=0)) < 0:
         opens = -opens  # A button moves inward, and is pressed from outside.
+    if from_side:
+        side, axis = np.unravel_index(np.abs(box - frame.pos).argmin(), box.shape)
+        opens = (2.0 * side - 1.0) * np.eye(3)[axis]
     across = _across(opens, np.array(frame.half))
     local_axes = np.column_stack([np.cross(across, -opens), across, -opens])
     axes = np.column_stack([rotate(world.quat, column) for column in local_axes.T])

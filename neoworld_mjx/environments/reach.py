@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..export.link_frames import MARGIN_M, Frame, handle_at
 from ..spec import SceneObject, bounds, link_poses, world_poses
 from ..spec.pose import (
     Pose,
@@ -28,7 +29,7 @@ from ..spec.pose import (
 )
 from .arm import ANGLE_M, scene_state
 from .controlled_scene import ControlledScene, controlled_scene
-from .flying_gripper import facing_pose
+from .flying_gripper import facing_pose, handles
 from .predicates import JointBetween, Located
 from .robots import PREFIX, Mount, Robot
 from .task import Task
@@ -46,8 +47,8 @@ ENOUGH = 0.2
 BEYOND, BEYOND_RAD = 0.05, 0.2
 """Distance of the motion beyond the goal's bound: as a share of a joint's range, and of a joint
 without one [rad]."""
-FINGER_M, FINGER_Y_M = 0.013, 0.035
-"""Length of the fingers beyond the tool, and distance of open fingers from it [m]."""
+FINGER_M, FINGER_Y_M = 0.013, (0.035, 0.05, 0.065)
+"""Length of the fingers beyond the tool, and distances from it at which open fingers are [m]."""
 INSIDE = 0.6
 """Largest distance from the middle of a goal at which the motion ends, as a share of its radius."""
 LIFT_M = 0.005
@@ -58,6 +59,14 @@ CLEAR_M = 0.13
 """Least horizontal distance of the base's middle from objects [m]."""
 STEPS = 5
 """Poses between the point and the goal."""
+DROPS_M = (0.02, 0.04, 0.06, 0.08, 0.1)
+"""Heights above a goal from which an object falls if the gripper does not fit there [m]."""
+NOT_ROBOT = np.array([1, 1, 1, 1, 1, 0], np.uint8)
+"""Groups of the geoms that are not the robot's."""
+HOLD_M = 0.004
+"""Least length of a handle between the fingers [m]."""
+HALF_OPENING_M = 0.038
+"""Half the length of a handle that fits between open fingers [m]."""
 STAND_M = 0.2
 """Difference of the heights of stands under the base, the lowest that serves is taken [m]."""
 MAX_STAND_M = 1.0
@@ -66,6 +75,10 @@ SHARES = (0.45, 0.6, 0.75)
 """Distances of the base from the point, as shares of the arm's length."""
 ANGLES = tuple(math.radians(a) for a in (0, 25, -25, 50, -50, 75, -75, 120, -120, 180))
 """Directions from the point to the base, relative to the side from which the tool comes [rad]."""
+
+
+_TURNS = tuple(from_yaw(angle) for angle in (0.0, math.pi, math.pi / 2, -math.pi / 2))
+"""Turns of the tool about its approach."""
 
 
 class Reach(NamedTuple):
@@ -82,6 +95,8 @@ class Reach(NamedTuple):
     """Joints in front of the point [rad or m]."""
     path: tuple[Pose, ...] = ()
     """Poses of the tool: in front of the point, there, and on to the goal."""
+    touches: str = ""
+    """Object that the open gripper touches at the goal of an object; empty for none."""
 
 
 def reachable(task: Task, robot: Robot | Path | str, mount: Mount) -> Reach:
@@ -101,7 +116,7 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
     """
     controlled = controlled_scene(task.scene, robot=robot, mount=Mount((0.0, 0.0, 0.0)))
     data = mujoco.MjData(controlled.model)
-    point = tool_path(task, Mount((0.0, 0.0, 0.0)))[1].pos
+    point = _point(task)
     side, (length, _) = _side(task, point), _length(controlled, data)
     lowest = _ground(task, np.full(2, 1e3), float(point[2])) or 0.0
     reasons: list[str] = []
@@ -136,21 +151,26 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
 def _best_reach(
     task: Task, controlled: ControlledScene, data: mujoco.MjData, mount: Mount
 ) -> Reach:
-    """Return the best of the ways to hold the object."""
+    """Return the best of the ways to hold the object, and to let it go."""
     arm, model = controlled.arm, controlled.model
     assert arm is not None
     _widen(model)
     moved = pose(mount.pos, mount.quat).then(arm.root_pose)
     model.body_pos[arm.root], model.body_quat[arm.root] = moved
-    best: Reach | None = None
-    for way in range(_ways(task)):
-        path = tool_path(task, mount, way)
+    best, best_score = None, (False, False, -np.inf)
+    for quat in _orientations(task, mount.quat):
         data.qpos[:] = controlled.initial_qpos
         mujoco.mj_kinematics(controlled.model, data)
-        path = tool_path(task, mount, way, _retreat(controlled, data, path[1]))
-        reach = _follow(controlled, data, path)._replace(path=tuple(path))
-        if best is None or (reach.reaches, reach.margin) > (best.reaches, best.margin):
-            best = reach
+        retreat = _retreat(controlled, data, Pose(_point(task), quat))
+        reach = _follow(task, controlled, data, tool_path(task, quat, retreat))
+        for drop in DROPS_M:
+            if not (reach.reaches and reach.touches):
+                break
+            raised = _follow(task, controlled, data, tool_path(task, quat, retreat, drop))
+            reach = raised if raised.reaches and not raised.touches else reach
+        score = reach.reaches, _holds(task, quat, retreat), reach.margin
+        if best is None or score > best_score:
+            best, best_score = reach, score
     assert best is not None
     return best
 
@@ -174,73 +194,102 @@ def _widen(model: mujoco.MjModel) -> None:
 
 def _retreat(controlled: ControlledScene, data: mujoco.MjData, tool: Pose) -> float:
     """Return how far the tool stays back, so that its open fingers end in front of a surface."""
-    group = np.array([1, 1, 1, 1, 1, 0], np.uint8)
     ahead, hit, nearest = rotate(tool.quat, (0.0, 0.0, 1.0)), np.zeros(1, np.int32), np.inf
-    for side in (-FINGER_Y_M, FINGER_Y_M):
+    for side in np.outer((-1.0, 1.0), FINGER_Y_M).ravel():
         start = tool.apply((0.0, side, -AWAY_M))
-        depth = mujoco.mj_ray(controlled.model, data, start, ahead, group, 1, -1, hit)
+        depth = mujoco.mj_ray(controlled.model, data, start, ahead, NOT_ROBOT, 1, -1, hit)
         if depth >= 0:
             nearest = min(nearest, depth - AWAY_M)
     return float(np.clip(FINGER_M - nearest, 0.0, MAX_RETREAT_M))
 
 
-WAYS = 6
-"""Number of orientations in which an object is taken: four from above, two from the base."""
+def _handle(task: Task) -> Frame | None:
+    """Return the handle at the task's point; None if the point is not on a part that moves."""
+    item, point = task.scene.object(task.point.object), task.point
+    if not any(joint.child == point.part for joint in item.spec.joints):
+        return None
+    _, handle = handles(task.scene)[f"{item.name}-{point.part}_handle"]
+    return handle_at(item.spec, handle, point.pos)
 
 
-def _ways(task: Task) -> int:
-    """Return the number of orientations of the tool at the task's point."""
-    if _at_handle(task):
-        return 2 if task.point.grasp else 4
-    return WAYS
+def _holds(task: Task, quat: NDArray, retreat: float) -> bool:
+    """Return whether the fingers get around the handle, if the task's point is on one."""
+    handle = _handle(task)
+    if handle is None or not task.point.grasp:
+        return True
+    return FINGER_M + _half(task, handle, quat, 2) - retreat > HOLD_M
 
 
-def _at_handle(task: Task) -> bool:
+def _half(task: Task, handle: Frame, quat: NDArray, axis: int) -> float:
+    """Return half the length of a handle along an axis of the tool [m]."""
     item = task.scene.object(task.point.object)
-    return any(joint.child == task.point.part for joint in item.spec.joints)
+    world = world_poses(task.scene)[item.name]
+    along = rotate(
+        conjugate(world.then(link_poses(item.spec, item.joint_state)[handle.part]).quat),
+        rotate(quat, np.eye(3)[axis]),
+    )
+    return float(np.abs(along) @ np.array(handle.half)) - MARGIN_M
 
 
-def tool_path(task: Task, mount: Mount, way: int = 0, retreat: float = 0.0) -> list[Pose]:
+def _point(task: Task) -> NDArray:
+    """Return the task's point in the world [m]."""
+    item = task.scene.object(task.point.object)
+    world = world_poses(task.scene)[item.name]
+    return world.then(link_poses(item.spec, item.joint_state)[task.point.part]).apply(
+        np.array(task.point.pos)
+    )
+
+
+def tool_path(task: Task, quat: NDArray, retreat: float = 0.0, drop: float = 0.0) -> list[Pose]:
     """Return poses of the tool: in front of the task's point, there, and on to the goal.
 
     Args:
         task: the task.
-        mount: where the robot stands.
-        way: index of an orientation of the tool, of which a handle has two, or four if it is not
-            grasped, and an object `WAYS`.
+        quat: orientation of the tool at the point.
         retreat: distance by which the tool stays back from the point [m].
+        drop: height above the goal from which an object is let go [m].
     """
     item = task.scene.object(task.point.object)
     world = world_poses(task.scene)[item.name]
     here = world.then(link_poses(item.spec, item.joint_state)[task.point.part])
-    position = here.apply(np.array(task.point.pos))
-    first = Pose(position, _orientation(task, item, world, mount.quat, way))
-    first = first.then(pose((0.0, 0.0, -retreat)))
+    first = Pose(_point(task), quat).then(pose((0.0, 0.0, -retreat)))
     back = pose((0.0, 0.0, -AWAY_M))
-    return [first.then(back), first, *_onward(task, item, world, here, first)]
+    return [first.then(back), first, *_onward(task, item, world, here, first, drop)]
 
 
-def _orientation(task: Task, item: SceneObject, world: Pose, base: NDArray, way: int) -> NDArray:
-    """Return an orientation of the tool at the point.
+def _orientations(task: Task, base: NDArray) -> list[NDArray]:
+    """Return the orientations in which the tool may be at the task's point.
 
-    At a handle the tool faces it; an object is taken from above, first across its narrower side, or
-    from the side of the base.
+    A handle is faced, or grasped from the nearest side of the object, across what fits between the
+    fingers. An object is taken from above, first across its narrower side, or from the side of the
+    base, whose orientation is given.
     """
-    if _at_handle(task):
-        quat = facing_pose(task.scene, f"{item.name}-{task.point.part}_handle").quat
-        return quat_mul(quat, from_yaw((0.0, math.pi, math.pi / 2, -math.pi / 2)[way]))
-    if way < 4:
-        low, high = bounds(item.spec, item.joint_state)
-        across = 0.0 if high[1] - low[1] <= high[0] - low[0] else math.pi / 2
-        x, y, _ = rotate(world.quat, (1.0, 0.0, 0.0))
-        yaw = math.atan2(y, x) + across + (0.0, math.pi, math.pi / 2, -math.pi / 2)[way]
-        return quat_mul(from_yaw(yaw), np.array([0.0, 1.0, 0.0, 0.0]))
+    item, handle, turns = task.scene.object(task.point.object), _handle(task), _TURNS
+    if handle is not None:
+        facing = lambda side: (
+            facing_pose(
+                task.scene, f"{item.name}-{handle.part}_handle", task.point.pos, from_side=side
+            ).quat
+        )
+        if not task.point.grasp:
+            return [quat_mul(facing(False), turn) for turn in turns]
+        found = [quat_mul(facing(side), turn) for side in (False, True) for turn in turns]
+        fits = lambda quat: _half(task, handle, quat, 1) <= HALF_OPENING_M
+        return [quat for k, quat in enumerate(found) if k % 4 < 2 or fits(quat)]
+    world = world_poses(task.scene)[item.name]
+    low, high = bounds(item.spec, item.joint_state)
+    across = 0.0 if high[1] - low[1] <= high[0] - low[0] else math.pi / 2
+    x, y, _ = rotate(world.quat, (1.0, 0.0, 0.0))
+    above = quat_mul(from_yaw(math.atan2(y, x) + across), np.array([0.0, 1.0, 0.0, 0.0]))
     ahead = rotate(base, (1.0, 0.0, 0.0))
-    y = np.cross((0.0, 0.0, 1.0), ahead) * (1 if way == 4 else -1)
-    return from_matrix(np.column_stack([np.cross(y, ahead), y, ahead]))
+    left = np.cross((0.0, 0.0, 1.0), ahead)
+    sides = [np.column_stack([np.cross(y, ahead), y, ahead]) for y in (left, -left)]
+    return [quat_mul(turn, above) for turn in turns] + [from_matrix(side) for side in sides]
 
 
-def _onward(task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose) -> list[Pose]:
+def _onward(
+    task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose, drop: float
+) -> list[Pose]:
     """Return the poses of the tool while it moves the part or the object to the goal."""
     goal, path = task.goal, []
     if isinstance(goal, JointBetween) and goal.object == item.name:
@@ -262,16 +311,19 @@ def _onward(task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose)
         point = relative.inverse().apply(world.apply(goal.point))
         aimed = np.array(goal.target)
         apart = point[:2] - aimed[:2]
-        # The nearest place within the goal, at some distance from its edge; a push falls short.
-        inside = INSIDE if task.point.grasp else 0.0
+        # The nearest place within the goal, at some distance from its edge; a push falls short, and
+        # what falls must not fall on the edge.
+        inside = INSIDE if task.point.grasp and not drop else 0.0
         aimed[:2] += apart * min(1.0, inside * goal.radius / max(np.linalg.norm(apart), 1e-9))
-        aimed[2] += min(max(point[2] - aimed[2], goal.low + LIFT_M), goal.high)
+        aimed[2] += min(max(point[2] - aimed[2], goal.low + LIFT_M), goal.high) + drop
         shift = rotate(relative.quat, aimed - point)
         path = [Pose(first.pos + k / STEPS * shift, first.quat) for k in range(1, STEPS + 1)]
     return path
 
 
-def _follow(controlled: ControlledScene, data: mujoco.MjData, path: list[Pose]) -> Reach:
+def _follow(
+    task: Task, controlled: ControlledScene, data: mujoco.MjData, path: list[Pose]
+) -> Reach:
     """Solve for the joints along a path, each from the solution before."""
     arm, model = controlled.arm, controlled.model
     assert arm is not None
@@ -304,7 +356,10 @@ def _follow(controlled: ControlledScene, data: mujoco.MjData, path: list[Pose]) 
             return Reach(False, f"it touches {touched}", worst, -0.5, tuple(home))
     if margin < MARGIN:
         return Reach(False, "a joint is at its limit", worst, margin, tuple(home))
-    return Reach(True, "", worst, margin, tuple(float(v) for v in home))
+    placed = isinstance(task.goal, Located) and task.goal.released and task.point.grasp
+    touched = _touched(model, data) if placed else ""
+    home = tuple(float(v) for v in home)
+    return Reach(True, "", worst, margin, home, tuple(path), touched)
 
 
 def _solve_pose(
@@ -349,10 +404,8 @@ def _touched(model: mujoco.MjModel, data: mujoco.MjData) -> str:
 
 def _side(task: Task, point: NDArray) -> float:
     """Return the direction from the point to where the tool comes from [rad]."""
-    item = task.scene.object(task.point.object)
-    if _at_handle(task):
-        world = world_poses(task.scene)[item.name]
-        out = -rotate(_orientation(task, item, world, from_yaw(0.0), 0), (0.0, 0.0, 1.0))
+    if _handle(task) is not None:
+        out = -rotate(_orientations(task, from_yaw(0.0))[0], (0.0, 0.0, 1.0))
         if np.linalg.norm(out[:2]) > 0.3:
             return math.atan2(out[1], out[0])
     camera = task.scene.camera

@@ -5,13 +5,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from ..physics.mjcf import body_name
+from ..spec import bounds, world_poses
 from ..spec.pose import Pose, length
 from .arm import SceneState
 from .policy_environment import Script
 from .predicates import Located
-from .reach import reachable
+from .reach import NOT_ROBOT, reachable
 from .robots import Mount, Robot
 from .task import SceneTask, StateView
 
@@ -19,8 +23,11 @@ STEP_M = 0.012
 """Distance of the tool from one pose of the script to the next [m]."""
 WAIT = 8
 """Actions for the fingers to close or to open."""
-CLEAR_M = 0.08
-"""Height above the straight way to a goal at which an object is carried [m]."""
+CLEAR_M = (0.08, 0.12, 0.16, 0.2, 0.25, 0.3)
+"""Heights above the straight way to a goal at which an object is carried, the lowest at which
+nothing is in its way [m]."""
+BESIDE_M = (-0.03, 0.0, 0.03)
+"""Distances from the middle of this way at which it must be free [m]."""
 
 
 def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Script | None:
@@ -40,7 +47,8 @@ def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Scri
     # The tool lags behind, so it waits before the fingers move.
     rows = _way([before, at], opened) + [(at, opened)] * WAIT + [(at, grip)] * WAIT
     if onward and isinstance(goal, Located) and goal.released and closes:
-        high = [Pose(p.pos + (0.0, 0.0, CLEAR_M), p.quat) for p in (at, onward[-1])]
+        clear = _clearance(task, at.pos, onward[-1].pos)
+        high = [Pose(p.pos + (0.0, 0.0, clear), p.quat) for p in (at, onward[-1])]
         rows += _way([at, *high, onward[-1]], grip) + [(onward[-1], grip)] * WAIT
         rows += [(onward[-1], 1.0)] * WAIT
         rows += _way([onward[-1], high[-1]], 1.0)
@@ -66,6 +74,26 @@ def arm_script(task: SceneTask, robot: Robot | Path | str, mount: Mount) -> Scri
         return arm.toward(state, pos[t] + shift, quat[t], fingers[t], jnp)
 
     return Script(action, len(rows))
+
+
+def _clearance(task: SceneTask, start: NDArray, end: NDArray) -> float:
+    """Return the height above a way of the tool at which it carries an object over all others [m].
+
+    Rays along the way at the object's foot must not meet anything before its end.
+    """
+    model, data = task.controlled.model, task.controlled.initial_data()
+    item = task.task.scene.object(task.task.point.object)
+    at = world_poses(task.task.scene)[item.name]
+    foot = bounds(item.spec, item.joint_state, tuple(at.quat))[0][2] + at.pos[2]
+    own, hit = model.body(body_name(item, item.spec.root)).id, np.zeros(1, np.int32)
+    way = end - start
+    across = np.cross(way, (0.0, 0.0, 1.0)) / max(float(np.linalg.norm(way[:2])), 1e-9)
+    for clear in CLEAR_M:
+        starts = [(*(start + side * across)[:2], foot + clear) for side in BESIDE_M]
+        rays = [mujoco.mj_ray(model, data, x, way, NOT_ROBOT, 1, own, hit) for x in starts]
+        if not any(0.0 <= share <= 1.0 for share in rays):
+            return clear
+    return CLEAR_M[-1]
 
 
 def _way(poses: list[Pose], grip: float) -> list[tuple[Pose, float]]:

@@ -5,7 +5,7 @@ are those of the object.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,26 @@ def frames(spec: ObjectSpec) -> tuple[Frame, ...]:
         taken.add(name)
         result.append(_handle(spec, joint, name))
     return (*site_frames, *result)
+
+
+def handle_at(spec: ObjectSpec, handle: Frame, point: tuple[float, float, float]) -> Frame:
+    """Return a handle, or if a point of its part is not on it, the geom there as a handle.
+
+    Args:
+        spec: the object.
+        handle: a handle.
+        point: the point, in the object's frame with all joints at zero [m].
+    """
+    assert handle.half is not None
+    if np.all(np.abs(np.subtract(point, handle.pos)) <= handle.half):
+        return handle
+    boxes: dict[str, list[_Shape]] = {}
+    for geom, piece, local in pieces(spec.part(handle.part)):
+        box = _Shape(geom.name, False, *box_around(piece, local))
+        boxes.setdefault(geom.name, []).append(box)
+    apart = lambda s: np.linalg.norm(np.maximum(s.low - point, point - s.high).clip(0.0))
+    _, half = _around(min(boxes.values(), key=lambda shapes: min(map(apart, shapes))))
+    return replace(handle, pos=point, half=_triple(half + MARGIN_M))
 
 
 @dataclass(frozen=True)

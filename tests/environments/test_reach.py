@@ -10,13 +10,15 @@ import pytest
 from neoworld_mjx.environments import task as tasks
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene
+from neoworld_mjx.environments.flying_gripper import facing_pose
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.policy_environment import PolicyEnv
 from neoworld_mjx.environments.reach import propose_mount, reachable
 from neoworld_mjx.environments.robots import Mount
 from neoworld_mjx.environments.scripted_motion import arm_script
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec import Box, HollowBox, ObjectSpec, SceneObject, SceneSpec
+from neoworld_mjx.spec.pose import matrix
 from tests.support.mechanisms import WOOD, geom, joint, part, single
 
 ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
@@ -88,6 +90,26 @@ def test_an_arm_does_a_task_from_the_proposed_mount_and_the_reward_rises(scene, 
     assert (np.diff(steps) > -0.003).all() and (np.diff(steps) > 0.01).sum() > 5
 
 
+def test_a_lid_is_gripped_from_the_front_by_what_is_there(scene):
+    """The lid opens upward, and has a knob on top and a plate in front."""
+    body = part("body", geom("body", Box(size=(0.3, 0.4, 0.2)), (0, 0, 0.1)))
+    lid = part(
+        "lid",
+        geom("lid", Box(size=(0.3, 0.4, 0.1)), (0, 0, 0.25)),
+        geom("knob", Box(size=(0.02, 0.1, 0.01)), (0.1, 0, 0.305)),
+        geom("plate", Box(size=(0.012, 0.03, 0.02)), (0.156, 0, 0.25)),
+    )
+    hinge = joint("hinge", "revolute", "body", "lid", (-0.15, 0, 0.2), (0, -1, 0), upper=1.5)
+    chest = ObjectSpec(name="chest", materials=(WOOD,), parts=(body, lid), joints=(hinge,))
+    item = SceneObject(name="chest", spec=chest, parent="floor", fixed_base=True)
+    chests = SceneSpec(objects=(scene.objects[0], item))
+    axes = lambda *at, **side: matrix(facing_pose(chests, "chest-lid_handle", *at, **side).quat)
+    assert axes()[2, 2] < -0.9 and abs(axes()[0, 1]) > 0.9
+    assert axes(from_side=True)[:, 2] == pytest.approx([0, 0, -1])
+    plate = axes((0.156, 0.0, 0.25), from_side=True)
+    assert plate[:, 2] == pytest.approx([-1, 0, 0]) and abs(plate[2, 1]) == pytest.approx(1.0)
+
+
 def test_places_from_which_an_arm_does_not_reach_are_told(scene):
     task = tasks.open_joint(scene, "chest-drawer")
     far = reachable(task, ARM, Mount((3.0, 0.0, 0.0)))
@@ -98,12 +120,22 @@ def test_places_from_which_an_arm_does_not_reach_are_told(scene):
         propose_mount(tasks.reach(lifted, "block"), ARM)
 
 
-def test_a_script_places_a_block_and_lets_go(scene):
-    stand = single("stand", Box(size=(0.2, 0.2, 0.06)), 0.03)
+@pytest.mark.parametrize(
+    ("shape", "words", "drops"),
+    [
+        (Box(size=(0.2, 0.2, 0.06)), {"on": "stand"}, False),
+        # The hand does not fit between the walls, so the block falls the last bit.
+        (HollowBox(size=(0.1, 0.1, 0.15), wall=0.006), {"in_": "stand"}, True),
+    ],
+)
+def test_a_script_places_a_block_and_lets_go(scene, shape, words, drops):
+    stand = single("stand", shape, shape.size[2] / 2)
     beside = SceneObject(name="stand", spec=stand, parent="floor", z=0.0501, xy=(0.7, -0.4))
     scene = scene.model_copy(update={"objects": (*scene.objects, beside)})
-    task = tasks.place(scene, "block", on="stand")
+    task = tasks.place(scene, "block", **words)
     mount = propose_mount(task, ARM)
+    above = reachable(task, ARM, mount).path[-1].pos[2] - task.goal.target[2]
+    assert (above > 0.05) == drops
     on = task.on(controlled_scene(task.scene, robot=ARM, mount=mount))
     script = arm_script(on, ARM, mount)
     assert script is not None
