@@ -20,7 +20,7 @@ from ..config import RefineOptions
 from ..errors import RunError, SpecError
 from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
-from ..measure import SceneMeasure, passes, rest_and_measure, resting, scene_checks
+from ..measure import HELD, SceneCheck, SceneMeasure, rest_and_measure, resting, scene_checks
 from ..physics.colliders import pair_distance
 from ..physics.engine import Engine, open_engine
 from ..physics.layout import Layout, Poses, Variation
@@ -114,6 +114,8 @@ class SceneSamples:
         line = f"stands in {int(self.stands.sum())} of {len(self)}"
         if counts := Counter(reason for reason in self.reasons if reason):
             line += f"; kept {len(self.kept)}; refused: {_counted(counts)}"
+        if held := [item.name for item in self.model.spec.objects if item.held]:
+            line += f"; held in place: {', '.join(held)}"
         if self.refused:
             line += f"; refused and drawn again: {_counted(Counter(self.refused), 3)}"
         return line
@@ -258,7 +260,7 @@ def _settled(
         poses=poses,
         cameras=cameras,
         measures=tuple(measures),
-        stands=np.array([passes(measure, o) for measure in measures]),
+        stands=np.array([all(c.passed for c in _checks(measure, o)) for measure in measures]),
         shift_px=shift,
         at_fault=~rests | (excess > 0) | diverged[:, None],
         reasons=tuple(
@@ -295,10 +297,15 @@ def _reason(measure: SceneMeasure, o: RefineOptions) -> str:
     """Return the first failed check of a draw as "object verb"; empty if it passes all checks."""
     if measure.diverged:
         return "the simulation diverges"
-    for check in scene_checks(measure, o):
+    for check in _checks(measure, o):
         if not check.passed:
             return f"{check.where.split('|')[-1].split('-', 1)[0]} {VERBS[check.name]}"
     return ""
+
+
+def _checks(measure: SceneMeasure, o: RefineOptions) -> list[SceneCheck]:
+    """Return the checks of a draw. Objects that are held are held in all, so none is refused."""
+    return [check for check in scene_checks(measure, o) if check.name != HELD]
 
 
 def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) -> str:

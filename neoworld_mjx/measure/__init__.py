@@ -8,6 +8,7 @@ from .boxes import (
     visible_box_iou,
 )
 from .scene_check import (
+    HELD,
     SETTLED_AWAY,
     SceneCheck,
     SceneMeasure,
@@ -21,6 +22,7 @@ from .scene_check import (
 )
 
 __all__ = [
+    "HELD",
     "SETTLED_AWAY",
     "Move",
     "SceneCheck",

@@ -1,5 +1,6 @@
 """Manipulation tasks: plans and their execution, success in reconstructions, plans of a model."""
 
+import dataclasses
 import json
 import math
 from functools import partial
@@ -16,6 +17,7 @@ from neoworld_bench.tasks import (
     execute,
     find_task,
     model_plans,
+    success_runs,
     wait,
 )
 from neoworld_bench.tasks.model_plans import (
@@ -146,6 +148,17 @@ def test_exact_response_leads_to_task_success():
     (row,) = run_successes([TASK], ["open_loop"], EXACT, starts=1)
     assert row.on_truth and row.in_scene and row.valid and row.missed == 0
     assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
+
+
+@pytest.mark.parametrize("part", ["sample", "planned_there"])
+def test_an_error_after_the_layout_is_a_row_and_ends_no_run(monkeypatch, part):
+    def fail(*_args, **_options):
+        raise ValueError("broken")
+
+    monkeypatch.setattr(success_runs, part, fail)
+    settings = dataclasses.replace(EXACT, samples=2)
+    (row,) = run_successes([TASK], ["open_loop"], settings, starts=1)
+    assert not row.on_truth and row.reason == "no result: ValueError: broken"
 
 
 def _row(task, kind, method, on_truth, start=0, **more):

@@ -305,6 +305,13 @@ def test_a_focal_length_moves_the_camera_by_the_depth_of_the_aligned_scene():
     assert samples.shift_px.max() < 4.0
 
 
+def test_an_object_that_is_held_refuses_no_draw_and_is_told(samples):
+    scene = scenes.changed(samples.model.spec, "one", held=True, fixed_base=True)
+    drawn = nw.sample(scene, 4, options=OPTIONS, redraws=0)
+    assert drawn.stands.all() and len(drawn.kept) == 4
+    assert drawn.phrase() == "stands in 4 of 4; held in place: one"
+
+
 def test_bad_input_gets_one_line(samples):
     with pytest.raises(SpecError, match="n is 0"):
         nw.sample(samples.model.spec, 0)

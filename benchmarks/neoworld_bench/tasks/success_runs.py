@@ -244,10 +244,11 @@ def success_rows(job: MethodJob) -> Iterator[SuccessRow]:
     while initial is not None and remaining:
         try:
             for method, result in job.outcomes(tuple(remaining), initial, photo.scene):
+                done = row(method, (photo, initial.scene, result))
                 remaining.remove(method)
-                yield row(method, (photo, initial.scene, result))
+                yield done
         except Exception as error:
-            yield row(remaining.pop(0), f"no layout: {described(error)}")
+            yield row(remaining.pop(0), f"no result: {described(error)}")
 
 
 def _row(
