@@ -16,7 +16,7 @@ from ..estimate.rows.contacts import ContactGaps, Gap, SceneGeoms, contacts
 from ..estimate.rows.standing import Standing
 from ..estimate.unknowns import CAMERA, EACH, Placement, Unknowns
 from ..physics.layout import Layout
-from ..physics.model import CompiledScene
+from ..physics.model import SceneModel
 from ..physics.photo_view import default_camera
 from ..physics.posterior import Draws, pose_factor
 
@@ -37,7 +37,7 @@ object at a wall would stop all others, since an uncertain camera moves them tog
 class SceneContacts:
     """The contacts of a scene as a function of normal numbers, as in `Draws.normals`."""
 
-    scene: CompiledScene
+    scene: SceneModel
     sizes: bool = True
     """If False, sizes do not vary."""
 

@@ -18,7 +18,6 @@ from scipy.sparse.csgraph import connected_components
 
 from ..config import RefineOptions
 from ..errors import RunError, SpecError
-from ..estimate.unknowns import Unknowns
 from ..io.files import write_output
 from ..measure import HELD, SceneCheck, SceneMeasure, rest_and_measure, resting, scene_checks
 from ..physics.colliders import pair_distance
@@ -26,19 +25,13 @@ from ..physics.engine import Engine, open_engine
 from ..physics.layout import Layout, Poses, Variation
 from ..physics.model import SceneModel, compile_scene
 from ..physics.posterior import Draws, PhysicalPrior, draw, draw_again
-from ..render import visible_surface
 from ..spec import Camera, ObjectSpec, SceneObject, SceneSpec, read_scene
-from ..spec.pose import matrix
 from .contact_draws import SceneContacts
+from .placed_draws import PlacedDraws, box_shifts, moved_camera
 
-PIXEL_WIDTH = 640
-"""Width of the image in which displacements are measured [px]."""
 MAX_PX = 10.0
-"""Largest displacement of a side of an object's 2D box in that image; about twice the distance of a
-fitted outline from the outline in the photograph."""
-MAX_SHARE = 0.05
-"""Additional displacement, relative to the diagonal of the box: the estimate allows a program to be
-wrong in its proportions by a few percent, so sizes vary as much."""
+"""Largest displacement of a side of an object's 2D box in an image 640 pixels wide; about twice the
+distance of a fitted outline from the outline in the photograph."""
 REDRAWS = 4
 """Number of times that a refused draw is drawn again."""
 TOUCH_M = 0.005
@@ -201,11 +194,13 @@ def sample(
         prior: priors of what no picture shows.
         max_px: a draw is refused if a side of an object's 2D box moved by more than this and 5 % of
             the diagonal of the box, in an image 640 pixels wide.
-        redraws: number of times that a refused draw is drawn again. Only the objects that are the
-            reason, and those that touch them, are drawn again.
+        redraws: number of times that a draw that leaves its pixels is drawn again before it is
+            settled, and that a refused draw is drawn again. Only the objects that are the reason,
+            and those that touch them, are drawn again.
         sizes: if False, all objects keep their sizes, and draws are not compared with the pixels,
             where an object that is farther away would have to be larger.
-        engine: engine that settles the draws, or its name. C MuJoCo checks them in any case.
+        engine: engine that settles the draws and lets them fall, or its name. C MuJoCo computes
+            depths in any case.
 
     Raises:
         SpecError: there is no scene, or `n` is not positive.
@@ -217,48 +212,60 @@ def sample(
         scene = read_scene(Path(scene))
     model = compile_scene(scene, timestep=0.002) if isinstance(scene, SceneSpec) else scene
     o, rng = options or RefineOptions(), np.random.default_rng(seed)
-    contacts, touching = SceneContacts(model, sizes), _touching(model)
     opened = open_engine(engine) if isinstance(engine, str) else engine
-    limit = max_px if sizes else math.inf
-    settled = lambda drawn: _settled(model, contacts, drawn, o, limit, seed, opened)
-    samples = settled(draw(model, rng, n, prior))
+    contacts, touching = SceneContacts(model, sizes), _touching(model)
+    limit, refused = max_px if sizes else math.inf, list[str]()
+
+    def again(drawn: Draws, at_fault: Bool[np.ndarray, "n object"]) -> PlacedDraws:
+        """Draw objects, and those that they touch, again."""
+        fresh = draw_again(model, drawn, at_fault @ touching, rng, prior)
+        return PlacedDraws.of(contacts, fresh, limit)
+
+    def within_pixels(placed: PlacedDraws) -> PlacedDraws:
+        """Draw again what leaves its pixels where it is placed: that needs no simulation."""
+        for _ in range(redraws):
+            rows = np.flatnonzero((placed.excess_px > 0).any(axis=1))
+            refused.extend(_pixel_reason(model.names, placed.excess_px[k]) for k in rows)
+            if not len(rows):
+                break
+            out = placed[rows]
+            placed = placed.replaced(rows, again(out.drawn, out.excess_px > 0))
+        return placed
+
+    first = PlacedDraws.of(contacts, draw(model, rng, n, prior), limit)
+    samples = _settled(contacts, within_pixels(first), o, limit, seed, opened)
     for _ in range(redraws):
         rows = np.flatnonzero(samples.at_fault.any(axis=1))
         if not len(rows):
             break
-        chosen = samples.at_fault[rows] @ touching
         drawn = jax.tree.map(lambda leaf, rows=rows: leaf[rows], samples.drawn)
-        samples = samples.replaced(rows, settled(draw_again(model, drawn, chosen, rng, prior)))
-    return samples
+        placed = within_pixels(again(drawn, samples.at_fault[rows]))
+        samples = samples.replaced(rows, _settled(contacts, placed, o, limit, seed, opened))
+    return replace(samples, refused=(*samples.refused, *refused))
 
 
 def _settled(
-    model: SceneModel,
     contacts: SceneContacts,
-    drawn: Draws,
+    placed: PlacedDraws,
     o: RefineOptions,
     max_px: float,
     seed: int,
     engine: Engine,
 ) -> SceneSamples:
-    """Settle and check draws, from where contacts place them."""
-    placed = contacts.kept(drawn)
-    layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), placed.layouts)
-    start = model.place_exactly(layouts)
-    start = Poses(start.pos, start.quat, start.scale, start.height, drawn.variation)
-    poses, measures = rest_and_measure(model, start, o, engine=engine, stop_early=True)
-    cameras = tuple(moved_camera(contacts.unknowns, change) for change in placed.camera)
-    shift, diagonal = _box_shifts(model, poses, cameras)
-    excess = shift - max_px - MAX_SHARE * diagonal
-    rests = np.array([resting(model.spec, measure, o) for measure in measures])
+    """Settle and check draws."""
+    model = contacts.scene
+    poses, measures = rest_and_measure(model, placed.poses, o, engine=engine, stop_early=True)
+    shift, excess = box_shifts(contacts, poses, placed.camera, max_px)
+    held = np.array([item.held for item in model.spec.objects])
+    rests = held | np.array([resting(model.spec, measure, o) for measure in measures])
     diverged = np.array([measure.diverged for measure in measures])
     return SceneSamples(
         model=model,
         seed=seed,
-        drawn=drawn,
-        layouts=layouts,
+        drawn=placed.drawn,
+        layouts=placed.layouts,
         poses=poses,
-        cameras=cameras,
+        cameras=tuple(moved_camera(contacts.unknowns, change) for change in placed.camera),
         measures=tuple(measures),
         stands=np.array([all(c.passed for c in _checks(measure, o)) for measure in measures]),
         shift_px=shift,
@@ -311,57 +318,6 @@ def _checks(measure: SceneMeasure, o: RefineOptions) -> list[SceneCheck]:
 def _pixel_reason(names: Sequence[str], excess: Float[np.ndarray, " object"]) -> str:
     worst = int(excess.argmax())
     return f"{names[worst]} leaves its pixels" if excess[worst] > 0 else ""
-
-
-def moved_camera(unknowns: Unknowns, change: Float[np.ndarray, " 4"]) -> Camera | None:
-    """Return the camera of a draw, None without a camera; see `posterior.Draws.camera`.
-
-    A change of the focal length also moves the camera along its view, so that the middle of the
-    scene keeps its size in the image. The alignment moves the scene instead of the camera.
-    """
-    c = unknowns.scene.camera
-    if c is None:
-        return None
-    moved, ahead = unknowns.camera_at(change)
-    xy = (c.xy[0] - ahead * math.cos(c.yaw), c.xy[1] - ahead * math.sin(c.yaw))
-    return moved.model_copy(update={"xy": xy})
-
-
-def _box_shifts(
-    model: SceneModel, poses: Poses, cameras: Sequence[Camera | None]
-) -> tuple[Float[np.ndarray, "n object"], Float[np.ndarray, " object"]]:
-    """Return how far each object's 2D box moved from the scene's, and the diagonals of the boxes.
-
-    Both are in pixels of an image `PIXEL_WIDTH` wide, and 0 for supports.
-    """
-    spec, shifts = model.spec, np.zeros(poses.scale.shape)
-    diagonals = np.zeros(len(spec.objects))
-    if spec.camera is None:
-        return shifts, diagonals
-    per_px = PIXEL_WIDTH / spec.camera.width
-    before = model.poses()
-    pose = lambda p, k, n: (np.asarray(p.pos)[k, n], matrix(np.asarray(p.quat)[k, n]).T)
-    for n, item in enumerate(spec.objects):
-        if item.environment:
-            continue
-        vertices, _ = visible_surface(item.spec, item.joint_state)
-        pos, turn = pose(before, 0, n)
-        box = _box(spec.camera, pos + vertices @ turn)
-        diagonals[n] = per_px * float(np.hypot(*(box[2:] - box[:2])))
-        for k, camera in enumerate(cameras):
-            assert camera is not None
-            sized = float(poses.scale[k, n]) * vertices
-            pos, turn = pose(poses, k, n)
-            shifts[k, n] = per_px * np.abs(_box(camera, pos + sized @ turn) - box).max()
-    return shifts, diagonals
-
-
-def _box(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 4"]:
-    """Return the 2D box of points, clipped to the image [px]."""
-    pixels, _ = camera.project(points)
-    size = np.array([camera.width, camera.height_px])
-    box = np.clip([pixels.min(axis=0), pixels.max(axis=0)], 0, size)
-    return np.asarray(box).ravel()
 
 
 def _with_variation(model: SceneModel, scene: SceneSpec, poses: Poses, k: int) -> SceneSpec:

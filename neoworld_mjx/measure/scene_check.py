@@ -162,7 +162,7 @@ def rest_and_measure(
         settles: if False, the candidates fall from `start`.
         placed: poses to which displacements by settling are relative; by default `start`.
         engine: engine that settles the candidates; by default `native`.
-        stop_early: if True, candidates at rest are not settled to the end.
+        stop_early: if True, candidates at rest are not simulated to the end.
 
     Returns:
         The settled poses, and a measure of each candidate with its displacement by settling.

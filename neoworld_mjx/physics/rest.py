@@ -6,8 +6,8 @@ The search calls its two halves, `settle` and a rollout, because it scores the s
 """
 
 import copy
-import dataclasses
 import weakref
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -21,7 +21,7 @@ from ..spec import SceneSpec
 from ..spec.pose import angle_between
 from .colliders import object_depths
 from .engine import EarlyStop, Engine, RolloutStatus, unplaceable
-from .guidance import Guidance
+from .guidance import INTERVAL_S, Guidance
 from .layout import Poses
 from .model import FREE, CompiledScene, StaticScene, compile_for_simulation, is_rotational
 from .native import NativeEngine, open_batch
@@ -35,6 +35,9 @@ AT_REST: dict[str, Any] = {
     "distance": 0.0067, "angle": 0.058, "drift": 1e3, "tilt": 1e3, "linger": 0.12, "anywhere": True
 }  # fmt: skip
 """Conditions of `EarlyStop` under which a settled candidate stops early."""
+STILL = EarlyStop(speed=0.001)
+"""Conditions under which a free fall ends with `stop_early`: what creeps faster falls on, so at
+most 2 mm of drift are missing in the 2 s of the final check."""
 CompiledT = TypeVar("CompiledT", bound=CompiledScene)
 CHUNK = 64
 """Number of candidates that fall at once, whose states after every step are kept."""
@@ -78,23 +81,27 @@ def rest(
 
     The free fall starts without velocities. Its motion is the largest of any step, and its depths
     are exact, whatever the precision of the engine that settles: both are computed by MuJoCo in C.
+    With `stop_early`, for many candidates, the engine also simulates the free fall, which ends at
+    rest as in the search; only the depths are then exact.
 
     Args:
         scene: the compiled scene, which sets the time step.
         start: poses from which the candidates settle.
         hold: duration and springs of the settling; if None, the candidates fall from `start`.
         free_s: duration of the free fall [s].
-        engine: engine that settles the candidates; by default `native`.
+        engine: engine that settles the candidates, and with `stop_early` lets them fall; by default
+            `native`.
         placed: poses to which `Rested.moved` is relative; by default `start`.
-        stop_early: if True, candidates at rest are not settled to the end; see `settle`.
+        stop_early: if True, candidates at rest are not simulated to the end; see `EarlyStop`.
 
     Raises:
         EngineError: the engine cannot simulate the scene.
     """
+    engine = engine or NativeEngine()
     start = jax.tree.map(lambda leaf: np.asarray(leaf, float), start)
     end = start
     if hold is not None:
-        end = settle(scene, start, engine or NativeEngine(), hold, stop_early=stop_early)
+        end = settle(scene, start, engine, hold, stop_early=stop_early)
         end = jax.tree.map(lambda leaf: np.asarray(leaf, float), end)
     placed = start if placed is None else placed
     moved = np.asarray(settling_displacement(scene.static, placed, end, np))
@@ -105,24 +112,48 @@ def rest(
     depths: list[Depths] = [{} for _ in range(pop)]
     end_depths = list(depths)
     rows = np.flatnonzero(~unplaceable(end))
-    model, data = copy.copy(scene.static.mjm), mujoco.MjData(scene.static.mjm)
-    steps = max(1, round(free_s / float(model.opt.timestep)))
-    for first in range(0, len(rows), CHUNK):
-        chunk = rows[first : first + CHUNK]
-        batch = open_batch(scene, end[chunk])
-        initial = batch.bind("qpos").copy()
-        qpos, status[chunk] = _simulate(batch, steps)
-        pos, quat, shift = read_states(scene.static, end[chunk], qpos)
+    chunk_size = len(rows) if stop_early else CHUNK
+    for first in range(0, len(rows), max(chunk_size, 1)):
+        chunk = rows[first : first + chunk_size]
+        fall = _fall_to_rest if stop_early else _whole_fall
+        (pos, quat, shift), status[chunk], ends = fall(scene, end[chunk], free_s, engine)
         away = pos - end.pos[chunk, None]
         drift[chunk] = np.linalg.norm(away, axis=-1).max(axis=1)
         tilt[chunk] = angle_between(end.quat[chunk, None], quat).max(axis=1)
         joint_motion[chunk] = shift.max(axis=1)
-        for row, k in enumerate(chunk):
-            batch.get_model(row, model)
-            depths[k] = _depths(scene, model, data, initial[row])
+        for k, at_start, at_end in zip(chunk, _depths(scene, end[chunk]), ends, strict=True):
+            depths[k] = at_start
             if status[k] == int(RolloutStatus.OK):
-                end_depths[k] = _depths(scene, model, data, qpos[row, -1])
+                end_depths[k] = at_end
     return Rested(end, moved, drift, tilt, joint_motion, tuple(depths), tuple(end_depths), status)
+
+
+Fall = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], Int[np.ndarray, " pop"], list[Depths]]
+"""Positions, rotations and joint shifts of candidates over time; their status; and their depths at
+the end of the fall."""
+
+
+def _whole_fall(scene: CompiledScene, start: Poses, free_s: float, _: Engine) -> Fall:
+    """Simulate every step of a free fall in C MuJoCo."""
+    batch = open_batch(scene, start)
+    steps = max(1, round(free_s / float(scene.static.mjm.opt.timestep)))
+    qpos, status = _simulate(batch, steps)
+    return read_states(scene.static, start, qpos), status, _depths(scene, start, qpos[:, -1])
+
+
+def _fall_to_rest(scene: CompiledScene, start: Poses, free_s: float, engine: Engine) -> Fall:
+    """Simulate a free fall that ends at rest. Joints have their initial positions in the depths."""
+    rollout = jax.device_get(
+        engine.rollout(scene, start, duration=free_s, record_every=INTERVAL_S, early_stop=STILL)
+    )
+    stopped = np.isin(rollout.status, (int(RolloutStatus.SETTLED), int(RolloutStatus.DRIFTED)))
+    status = np.where(stopped, int(RolloutStatus.OK), rollout.status)
+    end = replace(start, pos=rollout.pos[:, -1], quat=rollout.quat[:, -1])
+    finite = ~unplaceable(end)
+    ends: list[Depths] = [{} for _ in finite]
+    for k, depths in zip(np.flatnonzero(finite), _depths(scene, end[finite]), strict=True):
+        ends[k] = depths
+    return (rollout.pos, rollout.quat, rollout.joint_shift), status, ends
 
 
 def _simulate(
@@ -147,11 +178,20 @@ def _simulate(
 
 
 def _depths(
-    scene: CompiledScene, model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]
-) -> Depths:
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    return object_depths(scene.spec, model, data)
+    scene: CompiledScene, poses: Poses, qpos: Float[np.ndarray, "pop nq"] | None = None
+) -> list[Depths]:
+    """Return the depths of candidates at their poses, or in the states `qpos`."""
+    model, data = copy.copy(scene.static.mjm), mujoco.MjData(scene.static.mjm)
+    found: list[Depths] = []
+    for first in range(0, len(poses.scale), CHUNK):
+        batch = open_batch(scene, poses[first : first + CHUNK])
+        states = batch.bind("qpos") if qpos is None else qpos[first : first + CHUNK]
+        for k, state in enumerate(states):
+            batch.get_model(k, model)
+            data.qpos[:] = state
+            mujoco.mj_kinematics(model, data)
+            found.append(object_depths(scene.spec, model, data))
+    return found
 
 
 def settle(
@@ -201,7 +241,7 @@ def with_damped_joints(scene: CompiledT) -> CompiledT:
     damped = _damped_joints.get(scene.static)
     if damped is None:
         damped = _damped_joints[scene.static] = _static_with_damped_joints(scene.static)
-    return dataclasses.replace(scene, static=damped)
+    return replace(scene, static=damped)
 
 
 _damped_joints: "weakref.WeakKeyDictionary[StaticScene, StaticScene]" = weakref.WeakKeyDictionary()
@@ -215,7 +255,7 @@ def _static_with_damped_joints(static: StaticScene) -> StaticScene:
     mass = static.powers.body_mass[model.dof_bodyid]
     power = np.where(of_joint, mass + np.where(rotational, 2.0, 0.0), static.powers.dof_damping)
     powers = static.powers._replace(dof_damping=power)
-    return dataclasses.replace(static, mjm=model, powers=powers)
+    return replace(static, mjm=model, powers=powers)
 
 
 def settle_scene(scene: SceneSpec, o: SettleOptions) -> SceneSpec:

@@ -14,8 +14,9 @@ from neoworld_mjx.environments.contact_draws import SceneContacts
 from neoworld_mjx.environments.samples import SceneSamples
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.measure import scene_measure
-from neoworld_mjx.physics.model import compile_for_simulation
+from neoworld_mjx.physics.model import compile_for_simulation, compile_scene
 from neoworld_mjx.physics.model_fields import model_fields
+from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.posterior import PhysicalPrior, draw, draw_again
 from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
@@ -239,7 +240,7 @@ def test_draws_keep_apart_and_over_their_supports():
         item.model_copy(update={"xy": (0.0, y)}) for item, y in ((one, 0.035), (other, -0.035))
     )
     edge = one.model_copy(update={"name": "edge", "xy": (0.2, 0.38)})
-    scene = compile_for_simulation(scene.model_copy(update={"objects": (table, one, other, edge)}))
+    scene = compile_scene(scene.model_copy(update={"objects": (table, one, other, edge)}))
     drawn = draw(scene, np.random.default_rng(0), 64)
     kept = SceneContacts(scene).kept(drawn)
     y = lambda draws: draws.layouts.xy[..., 1] + [0.0, 0.035, -0.035, 0.38]
@@ -303,6 +304,27 @@ def test_a_focal_length_moves_the_camera_by_the_depth_of_the_aligned_scene():
     samples = nw.sample(scene.model_copy(update=update), 12, options=OPTIONS, redraws=0)
     assert np.std([np.log(c.focal) for c in samples.cameras if c]) > 0.05
     assert samples.shift_px.max() < 4.0
+
+
+class Counting(NativeEngine):
+    """C MuJoCo that counts the candidates that it settles and lets fall."""
+
+    def __init__(self):
+        super().__init__()
+        self.candidates = 0
+
+    def simulate(self, scene, poses, schedule):
+        self.candidates += len(poses.scale)
+        return super().simulate(scene, poses, schedule)
+
+
+def test_a_draw_that_leaves_its_pixels_is_drawn_again_before_it_is_settled():
+    engine = Counting()
+    scene = two(known(across=0.03), known())
+    samples = nw.sample(scene, 16, options=OPTIONS, engine=engine, redraws=12)
+    assert samples.stands.all() and len(samples.kept) == 16
+    assert samples.refused.count("one leaves its pixels") > 8
+    assert engine.candidates == 2 * 16
 
 
 def test_an_object_that_is_held_refuses_no_draw_and_is_told(samples):
