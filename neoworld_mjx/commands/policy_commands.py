@@ -80,7 +80,7 @@ class TrainCommand(Command):
         scene = read_scene(self.target)
         folder = self.target if self.target.is_dir() else self.target.parent
         out = self.out or folder / "policy"
-        check_folder(out, self.resume)
+        check_folder(out, self.resume, self.task, self.robot)
         engine = self.engine or open_engine().name
         options = default_options(engine)
         if self.worlds is not None:
@@ -138,9 +138,9 @@ class EvaluateCommand(Command):
 
     inputs: ClassVar = ("policy", "target")
 
-    policy: Positional[Path]
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
     """File policy.npz."""
-    target: Positional[Path]
+    target: Annotated[Positional[Path], arg(metavar="SCENE")]
     """A run folder or a scene.json."""
     samples: int = 256
     """Number of draws; 0 for the scene itself."""
@@ -177,9 +177,9 @@ class PlayCommand(Command):
 
     inputs: ClassVar = ("policy", "target")
 
-    policy: Positional[Path]
+    policy: Annotated[Positional[Path], arg(metavar="POLICY")]
     """File policy.npz."""
-    target: Positional[Path]
+    target: Annotated[Positional[Path], arg(metavar="SCENE")]
     """A run folder or a scene.json."""
     out: Annotated[Path | None, arg(aliases=("-o",))] = None
     """File .webp or .gif. Default: policy.webp beside the policy."""

@@ -216,7 +216,7 @@ def train_task(
     t = training or Training()
     engine = t.engine or open_engine().name
     o = options or default_options(engine)
-    check_folder(out, resume)
+    check_folder(out, resume, setting.task, setting.robot)
     if t.steps < 1 or o.worlds < 1:
         raise SpecError(f"training: steps ({t.steps}) and worlds ({o.worlds}) must be positive")
     try:
@@ -285,10 +285,29 @@ def train_task(
     return policy
 
 
-def check_folder(out: Path, resume: bool) -> None:
-    """Raise SpecError if a folder has a policy whose training is not to be resumed."""
-    if not resume and (out / POLICY).exists():
+def check_folder(out: Path, resume: bool, task: str, robot: str | None) -> None:
+    """Raise SpecError if a folder has a policy that would be lost, or one of another training.
+
+    Args:
+        out: the folder.
+        resume: True if the training of the policy is to be resumed.
+        task: the task as a sentence.
+        robot: the robot; None for a flying gripper.
+    """
+    path = out / POLICY
+    if not resume and path.exists():
         raise SpecError(f"{out} has a policy: resume it (--resume), or name another folder (--out)")
+    if resume:
+        was = read_policy(path).about.setting.model_dump()
+        _check_same(path, was, {"task": task, "robot": robot})
+
+
+def _check_same(path: Path, was: dict[str, Any], now: dict[str, Any]) -> None:
+    other = [
+        f"{k} is {was.get(k)!r}, not {value!r}" for k, value in now.items() if was.get(k) != value
+    ]
+    if other:
+        raise SpecError(f"{path} is of another training, in which {'; '.join(other)}")
 
 
 def snapshot_name(share: float) -> str:
@@ -335,18 +354,14 @@ def _resumed(
     was, now = (
         {**a.setting.model_dump(), "reward": a.reward, **a.options} for a in (policy.about, about)
     )
-    other = [
-        f"{name} is {was.get(name)!r}, not {value!r}"
-        for name, value in now.items()
-        if was.get(name) != value
-    ]
+    _check_same(path, was, now)
     leaves, tree = jax.tree.flatten((fresh.networks.actor, fresh.normalizer, _rest(fresh)))
     given = jax.tree.leaves((policy.actor, policy.normalizer, policy.rest))
     describe = lambda arrays: [(a.shape, a.dtype) for a in arrays]
-    if not other and describe(given) != describe(leaves):
-        other = ["the sizes of observations or networks are others"]
-    if other:
-        raise SpecError(f"{path} is of another training, in which {'; '.join(other)}")
+    if describe(given) != describe(leaves):
+        raise SpecError(
+            f"{path} is of another training: the sizes of observations or networks are others"
+        )
     actor, normalizer, (critic, optimizer, key, steps) = jax.tree.unflatten(
         tree, [jnp.asarray(leaf) for leaf in given]
     )
