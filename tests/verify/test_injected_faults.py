@@ -29,7 +29,7 @@ def check_faults(kind, specs, failures):
     for spec in specs:
         first = run(spec)
         assert first.verdict.cause in kind.causes, spec.name
-        repaired += kind.repairable and repair(spec, run, first=first).after.passed
+        repaired += kind.repairable and repair(spec, run, first=first).verdict.passed
     assert not kind.repairable or repaired >= len(specs) - failures
 
 
