@@ -67,14 +67,7 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
     photo, models = context.photo_and_models()
     with run.step("parse", inputs) as out:
         assert out is not None
-        parsed = run_coroutine(
-            parse(
-                *(photo, models, options),
-                known=known.camera,
-                depth=known.depth,
-                objects=known.objects,
-            )
-        )
+        parsed = run_coroutine(parse(photo, models, options, known))
         if known.depth is not None:
             check_distances(known.depth, parsed.tree)
         files: dict[str, str | bytes] = {
