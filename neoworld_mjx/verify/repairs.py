@@ -7,17 +7,16 @@ fault score.
 """
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks.joint_checks import pivot_edges
 from ..checks.object_tests import ObjectTests
-from ..checks.signals import Allowance
 from ..checks.static_checks import Probe
 from ..checks.verdict import WAIVER_HINT, Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
@@ -33,16 +32,9 @@ GAIN = 0.05
 """A patch or a new program is accepted only if it lowers the fault score by more than this."""
 
 
-@runtime_checkable
-class RunTests(Protocol):
-    """Function that runs the object tests.
-
-    By default, the overlaps that the first program declares are allowed.
-    """
-
-    def __call__(self, spec: ObjectSpec, /, *, allowed: Sequence[Allowance] = ...) -> ObjectTests:
-        """Return the results of the object tests."""
-        ...
+RunTests = Callable[..., ObjectTests]
+"""Runs the object tests of an object. Its keyword `allowed` replaces the overlaps that the first
+program declares."""
 
 
 @dataclass
@@ -115,12 +107,8 @@ class Repair:
             self.patch, self.tests = merged, tests
         return helps
 
-    def try_program(self, result: SynthesisResult, *, rounds: int = 6) -> bool:
+    def try_program(self, result: SynthesisResult) -> bool:
         """Replace the object by that of a new program if the fault score decreases.
-
-        Args:
-            result: the new program.
-            rounds: largest number of rounds of direct repairs of the new object.
 
         Returns:
             True if the object was replaced.
@@ -130,7 +118,7 @@ class Repair:
             self.tried.append(f"new program: {result.reason}")
             return False
         run = partial(self.run, allowed=result.allowances)
-        candidate = repair(result.spec, run, rounds=rounds)
+        candidate = repair(result.spec, run)
         self.tried.append(
             f"new program: fault score {previous_score:.2f} to {candidate.verdict.score:.2f}"
         )
@@ -146,18 +134,15 @@ class Repair:
         self.tests = replace(self.tests, verdict=with_waived_falls(self.verdict))
 
 
-def repair(
-    spec: ObjectSpec, run: RunTests, *, rounds: int = 6, first: ObjectTests | None = None
-) -> Repair:
+def repair(spec: ObjectSpec, run: RunTests, *, rounds: int = 6) -> Repair:
     """Repair an object with patches that are derived from measurements.
 
     Args:
         spec: the object.
         run: runs the object tests.
         rounds: largest number of rounds, each of which addresses one cause.
-        first: test results of `spec`; if None, the tests are run.
     """
-    tests = first or run(spec)
+    tests = run(spec)
     repaired = Repair(spec, run, tests, tests.verdict)
     given_up: set[tuple[Fault | None, str]] = set()
     for _ in range(rounds):
