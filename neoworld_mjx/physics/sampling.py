@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from ..spec import SceneObject
-from ..spec.convex import Piece, hull, planes, polytope
+from ..spec.convex import Piece, hull, planes, polytope, support_points
 from ..spec.pose import Pose, matrix
 from .support import posed_pieces
 
@@ -225,27 +225,8 @@ def sphere_directions() -> NDArray:
 def _farthest_points(item: SceneObject, directions: NDArray) -> NDArray:
     best, points = np.full(len(directions), -np.inf), np.zeros(directions.shape)
     for piece, pose in posed_pieces(item, tilted=False):
-        candidates = pose.apply(_support_points(piece, directions @ matrix(pose.quat)))
+        candidates = pose.apply(support_points(piece, directions @ matrix(pose.quat)))
         reach = np.sum(candidates * directions, axis=1)
         farther = reach > best
         best[farther], points[farther] = reach[farther], candidates[farther]
     return points
-
-
-def _support_points(piece: Piece, d: NDArray) -> NDArray:
-    """Return the support points [n, 3] of a piece along unit directions, in the piece's frame."""
-    if piece.kind == "mesh":
-        v = np.asarray(piece.vertices, float)
-        return v[np.argmax(d @ v.T, axis=1)]
-    s, up = np.asarray(piece.size, float), np.array([0.0, 0.0, 1.0])
-    if piece.kind == "box":
-        return np.sign(d) * s
-    if piece.kind == "sphere":
-        return d * s[0]
-    if piece.kind == "ellipsoid":
-        return d * s**2 / np.linalg.norm(d * s, axis=1, keepdims=True)
-    end = np.sign(d[:, 2:]) * s[1] * up
-    if piece.kind == "capsule":
-        return d * s[0] + end
-    flat = d * (1 - up)
-    return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) * s[0] + end

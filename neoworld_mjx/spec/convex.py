@@ -172,6 +172,33 @@ def extent(piece: Piece, direction: NDArray) -> float:
     return float((np.array(piece.vertices) @ d).max())
 
 
+def support_points(piece: Piece, directions: NDArray) -> NDArray:
+    """Return the point of a piece that is farthest along each unit vector, in the piece's frame.
+
+    Args:
+        piece: the piece.
+        directions: unit vectors, shape [n, 3].
+
+    Returns:
+        Points [m], shape [n, 3].
+    """
+    d, s = directions, np.array(piece.size)
+    if piece.kind == "mesh":
+        vertices = np.array(piece.vertices)
+        return vertices[np.argmax(d @ vertices.T, axis=1)]
+    if piece.kind == "box":
+        return np.where(d >= 0, s, -s)
+    if piece.kind == "sphere":
+        return d * s[0]
+    if piece.kind == "ellipsoid":
+        return d * s**2 / np.linalg.norm(d * s, axis=1, keepdims=True)
+    ends = np.where(d[:, 2:] >= 0, s[1], -s[1]) * [0.0, 0.0, 1.0]
+    if piece.kind == "capsule":
+        return ends + d * s[0]
+    flat = d * [1.0, 1.0, 0.0]
+    return ends + flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) * s[0]
+
+
 def box_around(piece: Piece, pose: Pose) -> tuple[NDArray, NDArray]:
     """Return the exact bounds (low [3], high [3]) [m] of a piece at a given total pose."""
     turn = matrix(pose.quat)
