@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from ..errors import SpecError
 from ..physics.colliders import start_state
 from ..physics.placed import BALL_EXTENT
-from ..physics.sampling import sphere_directions
+from ..physics.sampling import HULL_DIRECTIONS
 from ..spec import (
     JointSpec,
     ObjectSpec,
@@ -34,7 +34,7 @@ from ..spec import (
     link_poses,
     pieces,
 )
-from ..spec.convex import support_points
+from ..spec.convex import sphere_directions, support_points
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MAX_TILT_RAD = np.radians(30.0)
@@ -63,7 +63,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     down, step = parsed, _FIRST_STEP_RAD
     ball = False
     if np.ptp(size := np.subtract(*bounds(spec, state)[::-1])) < BALL_EXTENT * size.max():
-        directions = sphere_directions()
+        directions = sphere_directions(HULL_DIRECTIONS)
         heights = np.array([float((lowest(d) @ d).max()) for d in directions])
         ball = bool(np.ptp(heights) < BALL_EXTENT * size.max())  # A cube is none.
         down = directions[int(np.argmin(heights))] if ball else down

@@ -3,14 +3,12 @@
 The extreme points determine an object's image box, and whether the object is round.
 """
 
-import functools
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
 from ..spec import SceneObject
-from ..spec.convex import Piece, hull, planes, polytope, support_points
+from ..spec.convex import Piece, hull, planes, polytope, sphere_directions, support_points
 from ..spec.pose import Pose, matrix
 from .support import posed_pieces
 
@@ -142,17 +140,8 @@ def _faces(piece: Piece, count: int) -> NDArray:
         flip = u + w > 1
         u, w = np.where(flip, 1 - u, u), np.where(flip, 1 - w, w)
         return a[pick] + u[:, None] * (b - a)[pick] + w[:, None] * (c - a)[pick]
-    ball = np.column_stack(
-        [
-            np.sin(np.arccos(1 - 2 * k / count)) * np.cos(golden * k),
-            np.sin(np.arccos(1 - 2 * k / count)) * np.sin(golden * k),
-            1 - 2 * k / count,
-        ]
-    )
-    if piece.kind == "sphere":
-        return ball * s[0]
-    if piece.kind == "ellipsoid":
-        return ball * s
+    if piece.kind in ("sphere", "ellipsoid"):
+        return sphere_directions(count) * (s[0] if piece.kind == "sphere" else s)
     if piece.kind == "capsule":
         length = 2 * s[1] + 2 * s[0]
         z = (k / count - 0.5) * length
@@ -197,7 +186,7 @@ def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
 
     An image box computed from these points is at most half a percent too small for a smooth object.
     """
-    return _farthest_points(item, sphere_directions())
+    return _farthest_points(item, sphere_directions(HULL_DIRECTIONS))
 
 
 def is_round(item: SceneObject) -> bool:
@@ -211,15 +200,6 @@ def is_round(item: SceneObject) -> bool:
     reach = np.sum(_farthest_points(item, directions) * directions, axis=1).reshape(len(rings), -1)
     max_radius = np.hypot(*_farthest_points(item, directions)[:, :2].T).max()
     return bool(np.ptp(reach, axis=1).max() < ROUND_TOLERANCE * max_radius)
-
-
-@functools.cache
-def sphere_directions() -> NDArray:
-    """Return evenly spread unit vectors, shape [n, 3]."""
-    k = np.arange(HULL_DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * k / HULL_DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
 def _farthest_points(item: SceneObject, directions: NDArray) -> NDArray:

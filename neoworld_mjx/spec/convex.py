@@ -71,6 +71,16 @@ def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
     return v, faces
 
 
+def volume_of_hull(points: NDArray) -> float:
+    """Return the volume [m^3] of the convex hull of points [n, 3]; 0 if they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
 def planes(piece: Piece) -> NDArray:
     """Return the half-spaces n.x <= d of a "box" or "mesh" piece as rows (n, d), shape [f, 4].
 
@@ -170,6 +180,15 @@ def extent(piece: Piece, direction: NDArray) -> float:
     if piece.kind == "ellipsoid":
         return float(np.linalg.norm(s * d))
     return float((np.array(piece.vertices) @ d).max())
+
+
+@lru_cache(maxsize=64)
+def sphere_directions(count: int) -> NDArray:
+    """Return evenly spread unit vectors, shape [count, 3]."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
 def support_points(piece: Piece, directions: NDArray) -> NDArray:
