@@ -58,7 +58,7 @@ def _crop(photo: Photo, tree: SceneTree, node: TreeNode) -> Crop:
     for other in tree.nodes:
         if other.name != node.name and not other.environment:
             _outline(canvas, _pixel_box(photo, other))
-    picture = Picture.of("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
+    picture = Picture("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
     x0, y0, x1, y1 = (v / photo.scale for v in window)
     return Crop(picture, _note(tree, node), (x0, y0, x1, y1))
 

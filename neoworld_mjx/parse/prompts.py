@@ -117,7 +117,7 @@ def _ask(photo: Photo, evidence: Evidence) -> tuple[str, list[Picture]]:
     """Return the prompt and the pictures of the request for the scene in a photo."""
     width, height = photo.size
     prompt = REQUEST_PROMPT.format(width=width, height=height)
-    pictures = [Picture.of("photo", photo.rgb)]
+    pictures = [Picture("photo", photo.rgb)]
     known, names = evidence.camera, evidence.objects.names
     if values := [] if known is None else _known_values(known):
         prompt += KNOWN_CAMERA.format(values=", ".join(values))
@@ -202,7 +202,7 @@ def critic_request(
             findings=FINDINGS_PROMPT.format(lines=lines) if findings else "",
         ),
         schema=SceneCritique,
-        pictures=[Picture.of("photo", photo.rgb), drawn],
+        pictures=[Picture("photo", photo.rgb), drawn],
     )
 
 
