@@ -131,11 +131,6 @@ def compiled() -> Compiled:
     return _Count.so_far
 
 
-def compilations() -> int:
-    """Return the number of functions compiled, or read from the cache; see `compiled`."""
-    return compiled().programs
-
-
 def _on_event(event: str, duration_secs: float, **_: str | int) -> None:
     if event.startswith(_PREFIX):
         programs, seconds = _Count.so_far

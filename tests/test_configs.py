@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from neoworld_mjx.config import Config, list_options, load_config
-from neoworld_mjx.config.pages import differences_page, options_page
+from tests.option_pages import differences_page, options_page
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 
@@ -23,7 +23,7 @@ def test_every_configuration_loads_and_survives_a_round_trip(path):
 
 
 def test_generated_pages_match_the_declarations():
-    stale = "regenerate them: python -m neoworld_mjx.config --write"
+    stale = "regenerate them: python -m tests.option_pages --write"
     docs = CONFIGS.parent / "docs"
     assert (docs / "options.md").read_text() == options_page(), stale
     page = (docs / "differences-from-the-paper.md").read_text()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 from tyro.conf import subcommand
 
 from neoworld_mjx.commands.base_command import Command, CommandResult, ConfiguredCommand
-from neoworld_mjx.commands.result_lines import bench_lines
+from neoworld_mjx.commands.result_lines import DETAILS, wrapped
 from neoworld_mjx.errors import ConfigError
 
 from .suites import SUITES, Suite
@@ -183,3 +183,17 @@ class BenchCommand:
     def run(self) -> CommandResult:
         """Run the innermost command."""
         return self.inner.run()
+
+
+def bench_lines(result: CommandResult) -> list[str]:
+    """Summarize the numbers of a benchmark, without its rows."""
+    tables = [
+        f"{len(value)} {key}" for key, value in result.items() if isinstance(value, list) and value
+    ]
+    numbers = [
+        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in result.items()
+        if isinstance(value, int | float)
+    ]
+    rows = [f"{result['suite']}: {', '.join(tables) or 'done'}"] if "suite" in result else []
+    return [*rows, *wrapped(numbers), DETAILS]

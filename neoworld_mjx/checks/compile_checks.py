@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
-from scipy.spatial import ConvexHull, QhullError
 
 from ..config import ProgramOptions
 from ..spec import (
@@ -27,6 +26,7 @@ from ..spec import (
     is_too_light,
     pieces,
 )
+from ..spec.convex import volume_of_hull
 from ..spec.mass import LEAST_KG
 from ..spec.opening import opening_alignment
 from ..spec.shapes import faceted
@@ -97,10 +97,7 @@ def _density(part: str, mass: float, density: float) -> Iterator[Signal]:
 def _hull_volume(part: PartSpec) -> float:
     """Return the volume of a part's convex hull [m^3]."""
     corners = [pose.apply(faceted(piece, 16)) for _, piece, pose in pieces(part)]
-    try:
-        return float(ConvexHull(np.vstack(corners)).volume)
-    except QhullError:  # The part is flat up to rounding.
-        return 1e-12
+    return volume_of_hull(np.vstack(corners)) or 1e-12
 
 
 AXIS_SLACK = 0.05

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
-from ..measure.boxes import polygon_intersection
 from ..spec import GeomSpec, ObjectSpec
 from .signals import Signal
 
@@ -106,15 +106,5 @@ def _differ(spec: ObjectSpec, first: _Face, second: _Face) -> bool:
 
 def _cover(first: _Face, second: _Face) -> bool:
     """Return True if two faces of one plane cover each other in part."""
-    low, high = (
-        [reduce(face.corners, axis=(0, 1)) for face in (first, second)]
-        for reduce in (np.min, np.max)
-    )
-    if (np.maximum(*low) >= np.minimum(*high)).any():
-        return False
-    wanted, shared = LEAST_SHARE * min(first.area, second.area), 0.0
-    for a, b in itertools.product(first.corners, second.corners):
-        shared += polygon_intersection(a, b)
-        if shared > wanted:
-            return True
-    return False
+    shapes = [shapely.union_all(shapely.polygons(face.corners)) for face in (first, second)]
+    return shapes[0].intersection(shapes[1]).area > LEAST_SHARE * min(first.area, second.area)

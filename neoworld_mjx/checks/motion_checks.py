@@ -4,7 +4,6 @@ The balance of an object at rest follows from its support polygon: the polygon's
 margin of the center of mass.
 """
 
-import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -20,6 +19,7 @@ from ..physics.mjcf import START
 from ..spec import link_poses, pieces
 from ..spec.convex import Piece, box_around
 from ..spec.pose import angle_between, matrix, pose, tilt_between
+from ..spec.shapes import faceted
 from .scenarios import DROP_HEIGHT_M
 from .simulation import PUSH_S, TIMESTEP_S, G, Simulation, Trajectory
 from .verdict import Check, Fault, Limit, make_check, skipped
@@ -85,10 +85,8 @@ def _contact_points(piece: Piece, pos: NDArray, rotation: NDArray, reach: float)
         Positions of corners, or of points where a round piece touches the floor [m], shape [n, 2].
     """
     s = np.array(piece.size)
-    if piece.kind == "mesh":
-        local = np.array(piece.vertices)
-    elif piece.kind == "box":
-        local = np.array(list(itertools.product((-1, 1), repeat=3))) * s
+    if piece.kind in ("box", "mesh"):
+        local = faceted(piece)
     else:
         # The lowest point of a ring is one of the points, however the piece is turned.
         lowest_angle = np.arctan2(-rotation[2, 1], -rotation[2, 0])

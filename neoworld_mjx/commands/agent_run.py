@@ -255,10 +255,7 @@ class AgentRun:
 
         if not session.evidence:
             return None
-        stated = read_stated(self.path(session.evidence))
-        for file in stated.files:
-            self.path(file)
-        return stated
+        return read_stated(self.path(session.evidence), self.path)
 
     def _config(self, session: _Session) -> Config:
         from ..pipeline.reconstruction import refuse_code

@@ -112,20 +112,6 @@ def sweep_lines(result: CommandResult) -> list[str]:
     return rows
 
 
-def bench_lines(result: CommandResult) -> list[str]:
-    """Summarize the numbers of a benchmark, without its rows."""
-    tables = [
-        f"{len(value)} {key}" for key, value in result.items() if isinstance(value, list) and value
-    ]
-    numbers = [
-        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
-        for key, value in result.items()
-        if isinstance(value, int | float)
-    ]
-    rows = [f"{result['suite']}: {', '.join(tables) or 'done'}"] if "suite" in result else []
-    return [*rows, *wrapped(numbers), DETAILS]
-
-
 def reasons(entries: Iterable[str], separator: str = "; ") -> str:
     """Join at most `MAX_REASONS` entries, and state the number of the others."""
     listed = list(entries)

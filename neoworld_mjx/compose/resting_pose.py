@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 from ..errors import SpecError
 from ..physics.colliders import start_state
 from ..physics.placed import BALL_EXTENT
-from ..physics.sampling import sphere_directions
+from ..physics.sampling import HULL_DIRECTIONS
 from ..spec import (
     JointSpec,
     ObjectSpec,
@@ -34,7 +34,7 @@ from ..spec import (
     link_poses,
     pieces,
 )
-from ..spec.convex import Piece
+from ..spec.convex import sphere_directions, support_points
 from ..spec.pose import IDENTITY, conjugate, from_axis_angle, quat_mul, rotate
 
 MAX_TILT_RAD = np.radians(30.0)
@@ -63,7 +63,7 @@ def resting_tilt(spec: ObjectSpec, state: dict[str, float], tilt: Quat) -> Quat 
     down, step = parsed, _FIRST_STEP_RAD
     ball = False
     if np.ptp(size := np.subtract(*bounds(spec, state)[::-1])) < BALL_EXTENT * size.max():
-        directions = sphere_directions()
+        directions = sphere_directions(HULL_DIRECTIONS)
         heights = np.array([float((lowest(d) @ d).max()) for d in directions])
         ball = bool(np.ptp(heights) < BALL_EXTENT * size.max())  # A cube is none.
         down = directions[int(np.argmin(heights))] if ball else down
@@ -117,15 +117,11 @@ def _lowest_points(spec: ObjectSpec, state: dict[str, float]) -> Callable[[NDArr
     )
 
     def lowest(down: NDArray) -> NDArray:
-        return (
-            np.array(
-                [
-                    frame.apply(_furthest(s, rotate(conjugate(frame.quat), down)))
-                    for s, frame in posed_pieces
-                ]
-            )
-            - center
-        )
+        points = [
+            frame.apply(support_points(piece, rotate(conjugate(frame.quat), down[None])))
+            for piece, frame in posed_pieces
+        ]
+        return np.concatenate(points) - center
 
     return lowest
 
@@ -187,24 +183,6 @@ def _lower(points: NDArray, down: NDArray, step: float) -> tuple[NDArray, float]
     direction = down + solution.x[:2] @ tangents
     direction /= np.linalg.norm(direction)
     return direction, float((points @ direction).max())
-
-
-def _furthest(piece: Piece, d: NDArray) -> NDArray:
-    """Return the point of a piece that is farthest along a unit vector, in the piece's frame."""
-    s = np.array(piece.size)
-    if piece.kind == "mesh":
-        vertices = np.array(piece.vertices)
-        return vertices[np.argmax(vertices @ d)]
-    if piece.kind == "box":
-        return np.where(d >= 0, s, -s)
-    if piece.kind == "sphere":
-        return d * s[0]
-    if piece.kind == "ellipsoid":
-        return s * s * d / np.linalg.norm(s * d)
-    end = np.array([0.0, 0.0, s[1] if d[2] >= 0 else -s[1]])
-    if piece.kind == "capsule":
-        return end + d * s[0]
-    return end + np.array([d[0], d[1], 0.0]) * (s[0] / max(float(np.hypot(d[0], d[1])), 1e-12))
 
 
 def _rotate_tilt(tilt: Quat, normal: NDArray, down: NDArray) -> Quat:

@@ -1,8 +1,4 @@
-"""Configuration: declarations of all options, and their validation and reading from YAML.
-
-`python -m neoworld_mjx.config --write` generates `docs/options.md` and
-`docs/differences-from-the-paper.md` from the declarations.
-"""
+"""Configuration: declarations of all options, and their validation and reading from YAML."""
 
 from ..io.limited_worker import FileOptions
 from ..io.text_files import parse_yaml, read_yaml

@@ -221,10 +221,6 @@ class Unknowns:
         own = int(np.flatnonzero(self.free == k)[0])
         return [self.size + STRETCH * own + axis for axis in range(STRETCH)]
 
-    def own_columns(self, k: int) -> list[int]:
-        """Return the indices of all unknowns of a free object."""
-        return [*range(*self.columns(k).indices(self.size)), *self.rise_columns(k)]
-
     def is_size(self, u: int) -> bool:
         """Return whether an unknown is the size of an object."""
         return CAMERA <= u < self.first_rise and (u - CAMERA) % EACH == EACH - 1

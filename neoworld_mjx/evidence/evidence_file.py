@@ -1,10 +1,12 @@
 """Evidence as a user states it: one file that names a camera, images, and known objects."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from ..errors import EvidenceError
 from ..io.text_files import read_yaml, validation_message
@@ -27,19 +29,30 @@ MAX_VIEWS = 20
 """Largest number of further photographs."""
 
 
+def _located(path: str, info: Any) -> str:  # pydantic's type of `info` cannot be checked.
+    """Return a path as the context of the validation places it; unchanged without a context."""
+    return path if info.context is None else info.context(path)
+
+
+FilePath = Annotated[str, AfterValidator(_located)]
+"""Path of a file or folder that evidence names."""
+ShortPath = Annotated[str, Field(max_length=400), AfterValidator(_located)]
+"""The same, as only a file states it."""
+
+
 class StatedDepth(Spec):
     """A depth image in an evidence file."""
 
-    file: str = Field(max_length=400)
+    file: ShortPath
     scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Meters per unit; by default .001 for an image, and 1 for an array."""
     kind: DepthKind = "metric"
-    confidence: str | None = Field(default=None, max_length=400)
+    confidence: ShortPath | None = None
     """Image of the same size, from 0 to 1."""
     error: float | None = Field(default=None, ge=0, le=1)
     """Standard deviation of errors that neighboring pixels share, relative to the depth; by default
     .03 for affine depth and disparity, and 0 for metric depth."""
-    camera: str | None = Field(default=None, max_length=400)
+    camera: ShortPath | None = None
     """Camera of a sensor next to the photograph's camera; if not stated, the depth image shows the
     photograph's view."""
     to_photo: Rows | None = None
@@ -49,16 +62,16 @@ class StatedDepth(Spec):
 class StatedMasks(Spec):
     """Masks in an evidence file."""
 
-    file: str = Field(max_length=400)
-    names: str | None = Field(default=None, max_length=400)
+    file: ShortPath
+    names: ShortPath | None = None
     """JSON file with the number of each object."""
 
 
 class StatedView(Spec):
     """A further photograph in an evidence file."""
 
-    photo: str = Field(max_length=400)
-    camera: str | dict[str, object] | None = None
+    photo: ShortPath
+    camera: FilePath | dict[str, object] | None = None
     """Its camera, with a pose in the same frame as that of the first photograph if it is known; by
     default, the file of the first photograph's camera, if it lists this photograph."""
     boxes: dict[Name, tuple[Number, Number, Number, Number]] = Field(default_factory=dict)
@@ -69,19 +82,19 @@ class StatedView(Spec):
 class StatedEvidence(Spec):
     """Contents of an evidence file. Paths are relative to the file."""
 
-    camera: str | dict[str, object] | None = None
+    camera: FilePath | dict[str, object] | None = None
     """Camera file, or the camera itself."""
-    base: str | dict[str, object] | None = None
+    base: FilePath | dict[str, object] | None = None
     """File with the pose of the camera in the base frame, or the pose itself."""
     gravity: Vec3 | None = None
     """Direction of gravity, in the camera's frame (OpenCV)."""
     ground: Number | None = None
     """Height of the scene's plane z = 0 in the base frame [m]."""
-    depth: str | StatedDepth | None = None
-    masks: str | StatedMasks | None = None
+    depth: FilePath | StatedDepth | None = None
+    masks: FilePath | StatedMasks | None = None
     views: tuple[StatedView, ...] = Field(default=(), max_length=MAX_VIEWS)
     """Further photographs of the scene."""
-    objects: dict[Name, str] = Field(default_factory=dict)
+    objects: dict[Name, FilePath] = Field(default_factory=dict)
     """Files of assets that take the place of programs, by name of the object."""
     sizes: dict[Name, KnownSize] = Field(default_factory=dict)
     """Known sizes, by name of the object."""
@@ -96,21 +109,6 @@ class StatedEvidence(Spec):
         names = ("camera", "base", "gravity", "ground", "depth", "masks")
         return bool(self.views) or any(getattr(self, name) is not None for name in names)
 
-    @property
-    def files(self) -> list[str]:
-        """Paths of the files and folders that the evidence names."""
-        entries = (self.camera, self.base, self.depth, self.masks)
-        named = ("file", "confidence", "camera", "names")
-        inner = [
-            getattr(e, name, None)
-            for e in entries
-            if isinstance(e, StatedDepth | StatedMasks)
-            for name in named
-        ]
-        views = [value for view in self.views for value in (view.photo, view.camera)]
-        files = (*entries, *inner, *self.objects.values(), *views)
-        return [value for value in files if isinstance(value, str)]
-
     def overridden(self, other: "StatedEvidence") -> "StatedEvidence":
         """Return a copy in which the stated values of another one take precedence.
 
@@ -121,42 +119,29 @@ class StatedEvidence(Spec):
         return self.model_copy(update=update | both)
 
 
-def read_stated(path: Path) -> StatedEvidence:
+def read_stated(path: Path, check: Callable[[str], object] = str) -> StatedEvidence:
     """Read an evidence file (YAML or JSON), with its paths relative to the working folder.
+
+    Args:
+        path: the file.
+        check: called with each of these paths; it may raise an error to refuse one.
 
     Raises:
         EvidenceError: the file cannot be read, or is no evidence file.
     """
     path = Path(path)
+
+    def at(file: str) -> str:
+        located = str(path.parent / file)
+        check(located)
+        return located
+
     try:
-        stated = StatedEvidence.model_validate(read_yaml(path, "evidence", EvidenceError))
+        stated = read_yaml(path, "evidence", EvidenceError)
+        return StatedEvidence.model_validate(stated, context=at)
     except ValidationError as error:
         reason = validation_message(error, StatedEvidence)[:600]
         raise EvidenceError(f"{path} is no evidence file: {reason}") from None
-    return _moved(stated, path.parent)
-
-
-def _moved(stated: StatedEvidence, folder: Path) -> StatedEvidence:
-    """Return evidence whose relative paths start at a folder."""
-    at = lambda value: str(folder / value) if isinstance(value, str) else value
-    update: dict[str, object] = {}
-    for name in ("camera", "base", "depth", "masks"):
-        value = getattr(stated, name)
-        if isinstance(value, StatedDepth):
-            files = {"file": at(value.file), "confidence": at(value.confidence)}
-            value = value.model_copy(update=files | {"camera": at(value.camera)})
-        elif isinstance(value, StatedMasks):
-            value = value.model_copy(update={"file": at(value.file), "names": at(value.names)})
-        if name in stated.model_fields_set:
-            update[name] = at(value)
-    if stated.views:
-        update["views"] = tuple(
-            view.model_copy(update={"photo": at(view.photo), "camera": at(view.camera)})
-            for view in stated.views
-        )
-    if stated.objects:
-        update["objects"] = {name: at(file) for name, file in stated.objects.items()}
-    return stated.model_copy(update=update)
 
 
 def evidence_of(

@@ -21,18 +21,6 @@ SUFFIXES = (".obj", ".stl", ".ply", ".off", ".dae", *GLTF)
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
-def load_mesh(path: Path) -> tuple[NDArray, NDArray]:
-    """Return the vertices [v, 3] and triangles [f, 3] of a mesh file, in the file's units.
-
-    Raises:
-        SpecError: the file is not a mesh, contains numbers that are not finite, or is too large.
-    """
-    vertices, faces = joined(load_surfaces(path, []))
-    if len(vertices) > MAX_VERTICES or len(faces) == 0:
-        raise SpecError(f"{path} has {len(vertices)} vertices; the limit is {MAX_VERTICES}")
-    return vertices, faces
-
-
 def joined(surfaces: list[Surface]) -> tuple[NDArray, NDArray]:
     """Return surfaces as one mesh, whose equal vertices are merged."""
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])

@@ -17,7 +17,6 @@ from .scene_check import (
     rest_and_measure,
     resting,
     scene_checks,
-    scene_measure,
     with_displacement,
 )
 
@@ -35,7 +34,6 @@ __all__ = [
     "rest_and_measure",
     "resting",
     "scene_checks",
-    "scene_measure",
     "visible_box_iou",
     "with_displacement",
 ]

@@ -4,7 +4,6 @@
 are compared with the parsed boxes of the photograph.
 """
 
-import itertools
 import math
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
@@ -12,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+from shapely import Polygon
 
 from ..spec import Box2D, Box3D, Camera, SceneSpec, TreeNode, bounds, world_poses
 from ..spec.pose import ArrayLike, angle_between, yaw_of
-from ..spec.triangles import polygon_area
 
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
@@ -56,27 +55,8 @@ def support_footprint(node: TreeNode) -> NDArray:
 
 
 def polygon_intersection(a: NDArray, b: NDArray) -> float:
-    """Return the intersection area of two polygons [m^2].
-
-    The polygons are given by their corners [m], counterclockwise, shape [n, 2]. Polygon `b` must be
-    convex.
-    """
-    # Plain floats: a scene has many pairs, and NumPy is slower for arrays of four points.
-    clipped, corners = a.tolist(), b.tolist()
-    for (x0, y0), (x1, y1) in itertools.pairwise([*corners, corners[0]]):
-        heights = [(y - y0) * (x1 - x0) - (x - x0) * (y1 - y0) for x, y in clipped]
-        points = []
-        for k, (x, y) in enumerate(clipped):
-            j = (k + 1) % len(clipped)
-            if heights[k] >= 0:
-                points.append((x, y))
-            if (heights[k] >= 0) != (heights[j] >= 0):
-                share = heights[k] / (heights[k] - heights[j])
-                points.append((x + share * (clipped[j][0] - x), y + share * (clipped[j][1] - y)))
-        if not points:
-            return 0.0
-        clipped = points
-    return max(polygon_area(np.array(clipped)), 0.0)
+    """Return the intersection area of two polygons [m^2], given by their corners [m], [n, 2]."""
+    return Polygon(a).intersection(Polygon(b)).area
 
 
 def intersection_3d(a: Box3D, b: Box3D) -> float:

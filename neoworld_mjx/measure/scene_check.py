@@ -58,15 +58,7 @@ class SceneMeasure(Spec):
     measured as it is."""
 
 
-def scene_measure(
-    scene: SceneSpec,
-    *,
-    duration: float = 2.0,
-    timestep: float = 0.002,
-    max_depth: float = 1e-3,
-    max_drift: float = 0.01,
-    max_tilt: float = 5.0,
-) -> SceneMeasure:
+def measured(scene: SceneSpec, o: RefineOptions | None = None) -> SceneMeasure:
     """Measure penetration in the composed pose, and drift in a simulation that starts from it.
 
     The simulation has no drag. The poses after every step are compared with the composed pose.
@@ -74,29 +66,18 @@ def scene_measure(
 
     Args:
         scene: the scene.
-        duration: simulated time [s].
-        timestep: time step [s].
-        max_depth: penetration bound [m].
-        max_drift: translation bound [m].
-        max_tilt: rotation bound [deg].
+        o: duration and bounds of the final check.
 
     Raises:
         EngineError: the scene has more contacts than MuJoCo's memory holds.
     """
-    world = compile_for_simulation(scene, timestep=timestep)
-    rested = rest(world, world.poses(), hold=None, free_s=duration)
-    return measures_of(world, rested, duration, max_depth, max_drift, max_tilt)[0]
+    o, world = o or RefineOptions(), compile_for_simulation(scene)
+    rested = rest(world, world.poses(), hold=None, free_s=o.check_duration_s)
+    return measures_of(world, rested, o)[0]
 
 
-def measures_of(
-    world: CompiledScene,
-    rested: Rested,
-    duration: float,
-    max_depth: float,
-    max_drift: float,
-    max_tilt: float,
-) -> list[SceneMeasure]:
-    """Return the measures of candidates that fell freely; other arguments as `scene_measure`.
+def measures_of(world: CompiledScene, rested: Rested, o: RefineOptions) -> list[SceneMeasure]:
+    """Return the measures of candidates that fell freely, without displacements by settling.
 
     Raises:
         EngineError: a candidate has more contacts than MuJoCo's memory holds.
@@ -118,12 +99,12 @@ def measures_of(
         before = pairs(rested.depths[k])
         after = {} if diverged else pairs(rested.end_depths[k])
         stable = not (diverged or held)
-        stable &= bool((drift < max_drift).all() and (tilt < max_tilt).all())
+        stable &= bool((drift < o.max_drift_m).all() and (tilt < o.max_tilt_deg).all())
         measures.append(
             SceneMeasure(
                 objects=len(static.names),
                 movable=len(names),
-                s_pen=int(_largest(before) > max_depth),
+                s_pen=int(_largest(before) > o.max_depth_m),
                 max_depth_m=_largest(before),
                 settled_depth_m=_largest(after),
                 depths_m=before,
@@ -135,7 +116,7 @@ def measures_of(
                 tilt_deg=by_name(names, tilt),
                 joint_slide_m=by_name(joints[slides], joint[slides]),
                 joint_turn_deg=by_name(joints[~slides], np.degrees(joint[~slides])),
-                duration_s=duration,
+                duration_s=o.check_duration_s,
                 diverged=diverged,
                 held=held,
             )
@@ -161,21 +142,26 @@ def rest_and_measure(
         o: options of settling and of the final check.
         settles: if False, the candidates fall from `start`.
         placed: poses to which displacements by settling are relative; by default `start`.
-        engine: engine that settles the candidates; by default `native`.
+        engine: engine of the simulation, as for `rest`; by default `native`.
         stop_early: if True, candidates at rest are not simulated to the end.
 
     Returns:
         The settled poses, and a measure of each candidate with its displacement by settling.
 
     Raises:
-        EngineError: a candidate has more contacts than MuJoCo's memory holds.
+        EngineError: the engine cannot run, or a candidate has more contacts than MuJoCo's memory
+            holds.
     """
-    hold, duration = o.settle if settles else None, o.check_duration_s
     rested = rest(
-        world, start, hold=hold, free_s=duration, engine=engine, placed=placed,
+        world,
+        start,
+        hold=o.settle if settles else None,
+        free_s=o.check_duration_s,
+        engine=engine,
+        placed=placed,
         stop_early=stop_early,
-    )  # fmt: skip
-    measures = measures_of(world, rested, duration, o.max_depth_m, o.max_drift_m, o.max_tilt_deg)
+    )
+    measures = measures_of(world, rested, o)
     movable = np.flatnonzero(world.static.movable)
     moved = [{world.names[n]: float(row[n]) for n in movable} for row in rested.moved]
     return rested.poses, [
@@ -222,17 +208,6 @@ class SceneCheck(Spec):
         """Return the check and its phrase as JSON data, in which infinity is null."""
         value = self.value if math.isfinite(self.value) else None
         return self.model_dump(mode="json") | {"value": value, "phrase": self.phrase()}
-
-
-def measured(scene: SceneSpec, o: RefineOptions) -> SceneMeasure:
-    """Measure a scene with the duration and the bounds of the options."""
-    return scene_measure(
-        scene,
-        duration=o.check_duration_s,
-        max_depth=o.max_depth_m,
-        max_drift=o.max_drift_m,
-        max_tilt=o.max_tilt_deg,
-    )
 
 
 def with_displacement(measure: SceneMeasure, stored: object) -> SceneMeasure:

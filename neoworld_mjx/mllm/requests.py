@@ -77,11 +77,6 @@ class Picture:
             )
         self.rgb = np.array(data)  # The caller may modify the array later.
 
-    @staticmethod
-    def of(label: str, rgb: np.ndarray) -> "Picture":
-        """Return a picture with these pixels; see the class."""
-        return Picture(label, rgb)
-
     @cached_property
     def data(self) -> bytes:
         """The PNG or JPEG file."""

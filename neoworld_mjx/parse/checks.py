@@ -24,12 +24,12 @@ from ..measure.boxes import (
     intersection_2d,
     intersection_3d,
     iou_2d,
-    polygon_area,
     polygon_intersection,
     support_footprint,
     upright,
 )
 from ..spec import SceneTree, TreeNode
+from ..spec.triangles import polygon_area
 from .categories import size_range
 from .outlines import EDGE, expected_box, hidden_sides, nearest_outline, outline_of
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import binary_erosion
 
 from ..mllm import Picture
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import conjugate, from_yaw, quat_mul, rotate
-from ..spec.triangles import inside_edges
 from .photo import Photo, enlarged
 
 MARGIN = 0.12
@@ -58,7 +58,7 @@ def _crop(photo: Photo, tree: SceneTree, node: TreeNode) -> Crop:
     for other in tree.nodes:
         if other.name != node.name and not other.environment:
             _outline(canvas, _pixel_box(photo, other))
-    picture = Picture.of("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
+    picture = Picture("crop", enlarged(canvas[top:bottom, left:right], SHOWN_PX))
     x0, y0, x1, y1 = (v / photo.scale for v in window)
     return Crop(picture, _note(tree, node), (x0, y0, x1, y1))
 
@@ -230,7 +230,8 @@ def _distance(
     if node.outline.shape != "rectangle":
         t = (box.size[2] - local[2]) / d[:, 2]
         corners = node.outline.corners() * np.array(box.size[:2])
-        on = inside_edges((local + t[:, None] * d)[:, :2], corners, np.roll(corners, -1, axis=0))
+        x, y, _ = (local + t[:, None] * d).T
+        on = shapely.contains_xy(shapely.Polygon(corners), x, y)
         return np.where(on & (t > 0), t, np.inf).reshape(rays.shape[:2])
     low, high = (middle - half - local) / d, (middle + half - local) / d
     near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)

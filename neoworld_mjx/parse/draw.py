@@ -68,7 +68,7 @@ def draw_parse(photo: Photo, tree: SceneTree, *, draw_3d_boxes: bool = False) ->
         corner = _place(tag.shape, boxes[node.name], (width, height), tags, boxes.values())
         stamp(canvas, tag, corner, colours[node.name])
         tags.append((corner[0], corner[1], corner[0] + tag.shape[1], corner[1] + tag.shape[0]))
-    return Picture.of("parse", canvas)
+    return Picture("parse", canvas)
 
 
 def _colours(tree: SceneTree, *, by_support: bool) -> dict[str, tuple[int, int, int]]:
@@ -242,7 +242,7 @@ def draw_region(picture: Picture, box: tuple[float, float, float, float]) -> Pic
             inside = corner[0] + tag.shape[1] <= size[0] and corner[1] + tag.shape[0] <= size[1]
             if inside and not covers:
                 stamp(canvas, tag, corner, COLOURS[3])
-    return Picture.of("zoom", canvas)
+    return Picture("zoom", canvas)
 
 
 def _edges(

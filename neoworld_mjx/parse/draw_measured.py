@@ -68,7 +68,7 @@ def draw_measured(
     if depth is not None:
         _draw_depths(canvas, depth, tags)
     return MeasuredPicture(
-        Picture.of("measured", canvas), grid=camera is not None, depths=depth is not None
+        Picture("measured", canvas), grid=camera is not None, depths=depth is not None
     )
 
 

@@ -79,5 +79,5 @@ def marking_request(photo: Photo, tree: SceneTree, further: PhotoRGB) -> Request
         system=package_text(__package__, "reasoner"),
         prompt=PROMPT.format(listing=listing, width=width, height=height),
         schema=MarkedPhoto,
-        pictures=[Picture("first", first.data), Picture.of("further", further)],
+        pictures=[Picture("first", first.data), Picture("further", further)],
     )

@@ -7,8 +7,8 @@ the picture's border hide sides of a 2D box, which then agree with every outline
 """
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull, QhullError
 
 from ..spec import Box3D, Camera, Quat, SceneTree, TreeNode
 from ..spec.pose import IDENTITY, from_yaw, rotate
@@ -147,14 +147,10 @@ def visible_box(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.nd
         crossing = front + share * (back - front)
         local = np.concatenate([local[ahead], crossing.reshape(-1, 3)])
     pixels, size = _pixel(camera, local), np.array([camera.width, camera.height_px], float)
-    if (pixels < 0).any() or (pixels > size).any():
-        pixels = _hull(pixels)
-        for axis in range(2):
-            pixels = _clip(pixels, pixels[:, axis])
-            pixels = _clip(pixels, size[axis] - pixels[:, axis])
-    if len(pixels) == 0:
-        return None
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    if (pixels >= 0).all() and (pixels <= size).all():
+        return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    shown = shapely.MultiPoint(pixels).convex_hull.intersection(shapely.box(0, 0, *size))
+    return None if shown.is_empty else np.array(shown.bounds)
 
 
 def expected_box(camera: Camera, node: TreeNode) -> Float[np.ndarray, "4"] | None:
@@ -226,29 +222,6 @@ def edges_in_view(
 
 def _pixel(camera: Camera, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
     return local[..., :2] / local[..., 2:3] * camera.focal + camera.center
-
-
-def _hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
-    """Return the corners of the convex hull of points; the two ends if it has no area."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        return points[np.lexsort(points.T)[[0, -1]]]
-
-
-def _clip(
-    polygon: Float[np.ndarray, "n 2"], height: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "m 2"]:
-    """Clip a convex polygon, and keep the part in which `height`, linear in x and y, is not < 0."""
-    following, height_of_following = np.roll(polygon, -1, axis=0), np.roll(height, -1)
-    crosses = (height >= 0) != (height_of_following >= 0)
-    start, end = polygon[crosses], following[crosses]
-    share = height[crosses] / (height - height_of_following)[crosses]
-    ends = start + share[:, None] * (end - start)
-    order = np.argsort(
-        np.concatenate([np.flatnonzero(height >= 0), np.flatnonzero(crosses) + 0.5]), kind="stable"
-    )
-    return np.concatenate([polygon[height >= 0], ends])[order]
 
 
 def hidden_sides(tree: SceneTree, node: TreeNode) -> Bool[np.ndarray, "4"]:

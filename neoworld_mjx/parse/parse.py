@@ -21,19 +21,23 @@ from pydantic import ValidationError
 from ..config import ParseOptions
 from ..errors import ModelError, SpecError
 from ..estimate.image.lines import EdgeRegion, VerticalEdges, vertical_edges
-from ..evidence.depth_image import DepthImage
-from ..evidence.known_camera import KnownCamera, with_known_camera
-from ..evidence.known_objects import KnownObjects
+from ..evidence.evidence import Evidence
+from ..evidence.known_camera import with_known_camera
 from ..mllm import Fallback, Model, ask_or_record
 from ..spec import SceneTree, TreeNode
 from ..spec.pose import matrix
 from .checks import SceneIssue, check_score, check_tree
 from .draw import draw_parse
-from .draw_measured import draw_measured
 from .object_schema import error_line
 from .outlines import is_slab, outline_of
 from .photo import Photo
-from .prompts import SceneCritique, correction_request, critic_request, parse_request
+from .prompts import (
+    NOTHING,
+    SceneCritique,
+    correction_request,
+    critic_request,
+    parse_request,
+)
 from .schema import ParsedScene, to_tree
 
 CAMERA = "the camera"
@@ -224,10 +228,7 @@ async def parse(
     photo: Photo,
     models: Model,
     options: ParseOptions | None = None,
-    *,
-    known: KnownCamera | None = None,
-    depth: DepthImage | None = None,
-    objects: KnownObjects | None = None,
+    evidence: Evidence = NOTHING,
 ) -> Parsed:
     """Parse a photograph into a scene tree.
 
@@ -235,20 +236,18 @@ async def parse(
         photo: the photograph.
         models: reasoner and critic.
         options: number of rounds.
-        known: what is known of the camera. Its values replace those of a response, whose objects
-            keep their pixels.
-        depth: a depth image of the photograph's view, which models are shown if it is metric.
-        objects: what is known of single objects, whose names the model is told.
+        evidence: what is known. Values of the camera replace those of a response, whose objects
+            keep their pixels; a metric depth image is shown to the models, and they are told the
+            names of known objects.
 
     Raises:
         ModelError: the first request failed, or no response gave a tree.
     """
-    options, objects = options or ParseOptions(), objects or KnownObjects()
+    options = options or ParseOptions()
     fallbacks: list[Fallback] = []
     attempts: list[SceneAttempt] = []
-    measured = draw_measured(photo, known, depth)
-    response = (await models.ask(parse_request(photo, known, measured, objects.names))).value
-    attempt = await check_response(photo, response, known, objects)
+    response = (await models.ask(parse_request(photo, evidence))).value
+    attempt = await check_response(photo, response, evidence)
     for remaining in range(options.critic_rounds, -1, -1):
         if options.critic_rounds and attempt.tree is not None:
             # Draw only 2D boxes, so every machine draws the same.
@@ -260,9 +259,7 @@ async def parse(
         attempts.append(attempt)
         if not remaining or not attempt.corrections:
             break
-        request = correction_request(
-            *(photo, attempt.response, attempt.corrections, known, measured, objects.names)
-        )
+        request = correction_request(photo, attempt.response, attempt.corrections, evidence)
         correction = await ask_or_record(models, request, "no repair round", fallbacks)
         if correction is None:
             break
@@ -274,7 +271,7 @@ async def parse(
         if response == attempt.response:
             break
         asked = any(issue.node == CAMERA for earlier in attempts for issue in earlier.checks)
-        attempt = await check_response(photo, response, known, objects, already_asked=asked)
+        attempt = await check_response(photo, response, evidence, already_asked=asked)
     best = max(range(len(attempts)), key=lambda number: attempts[number].score)
     tree = attempts[best].tree
     if tree is None:
@@ -286,8 +283,7 @@ async def parse(
 async def check_response(
     photo: Photo,
     response: ParsedScene,
-    known: KnownCamera | None,
-    objects: KnownObjects | None = None,
+    evidence: Evidence = NOTHING,
     *,
     already_asked: bool = False,
 ) -> SceneAttempt:
@@ -296,19 +292,17 @@ async def check_response(
     Args:
         photo: the photograph.
         response: the response.
-        known: what is known of the camera.
-        objects: what is known of single objects, if anything is.
+        evidence: what is known of the camera and of single objects.
         already_asked: if True, the model was already asked about the camera.
     """
     try:
         tree = to_tree(response, photo)
     except SpecError as error:
         return SceneAttempt(response, None, str(error))
-    issue = None
+    issue, known = None, evidence.camera
     if known is not None:
         tree = with_known_camera(tree, known)
-    if objects is not None:
-        tree = objects.applied(tree)
+    tree = evidence.objects.applied(tree)
     if known is None or known.pitch is None or known.roll is None:
         issue = await asyncio.to_thread(camera_issue, photo.rgb, tree, already_asked=already_asked)
     if issue is not None and not already_asked:

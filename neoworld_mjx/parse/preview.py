@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..evidence.evidence import Evidence
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture
 from ..mllm.panel import run_coroutine
@@ -52,7 +53,9 @@ def preview(photo: Photo, text: str, prompt: str = "", known: KnownCamera | None
     Raises:
         SpecError: the response is invalid, or gives no scene.
     """
-    attempt = run_coroutine(check_response(photo, _scene(photo, text, prompt), known))
+    attempt = run_coroutine(
+        check_response(photo, _scene(photo, text, prompt), Evidence(camera=known))
+    )
     tree = attempt.tree
     if tree is None:
         raise SpecError(f"the response gives no scene: {attempt.broken}")

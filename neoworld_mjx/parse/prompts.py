@@ -6,9 +6,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..evidence.evidence import Evidence
 from ..evidence.known_camera import KnownCamera
 from ..mllm import Picture, Request, package_text
-from .draw_measured import STEP_M, TOLD_SD, MeasuredPicture
+from .draw_measured import STEP_M, TOLD_SD, draw_measured
 from .photo import Photo
 from .schema import ParsedScene, SceneCorrection
 
@@ -95,53 +96,40 @@ class SceneCritique(BaseModel):
         return min(self.boxes, self.completeness, self.hierarchy)
 
 
-def parse_request(
-    photo: Photo,
-    known: KnownCamera | None = None,
-    measured: MeasuredPicture | None = None,
-    names: Sequence[str] = (),
-) -> Request[ParsedScene]:
-    """Return the request for the scene in a photo.
+NOTHING = Evidence()
+"""Evidence of a scene of which nothing is known but its photograph."""
 
-    Args:
-        photo: the photograph.
-        known: what is known of the camera.
-        measured: the photograph with measurements, if there are any.
-        names: names of the objects of which the user knows something.
-    """
+
+def parse_request(photo: Photo, evidence: Evidence = NOTHING) -> Request[ParsedScene]:
+    """Return the request for the scene in a photo, with what is known of it."""
+    prompt, pictures = _ask(photo, evidence)
     return Request(
         role="reasoner",
         name="parse",
         system=package_text(__package__, "reasoner"),
-        prompt=_request_prompt(photo, known, measured, names),
+        prompt=prompt,
         schema=ParsedScene,
-        pictures=_pictures(photo, measured),
+        pictures=pictures,
     )
 
 
-def _request_prompt(
-    photo: Photo,
-    known: KnownCamera | None,
-    measured: MeasuredPicture | None,
-    names: Sequence[str],
-) -> str:
+def _ask(photo: Photo, evidence: Evidence) -> tuple[str, list[Picture]]:
+    """Return the prompt and the pictures of the request for the scene in a photo."""
     width, height = photo.size
     prompt = REQUEST_PROMPT.format(width=width, height=height)
-    values = [] if known is None else _known_values(known)
-    if values:
+    pictures = [Picture("photo", photo.rgb)]
+    known, names = evidence.camera, evidence.objects.names
+    if values := [] if known is None else _known_values(known):
         prompt += KNOWN_CAMERA.format(values=", ".join(values))
     if names:
         prompt += KNOWN_OBJECTS.format(names=", ".join(names))
+    measured = draw_measured(photo, known, evidence.depth)
     if measured is not None:
         prompt += MEASURED_PICTURE
         prompt += GROUND_GRID.format(step=100 * STEP_M) if measured.grid else ""
         prompt += MEASURED_DEPTHS if measured.depths else ""
-    return prompt
-
-
-def _pictures(photo: Photo, measured: MeasuredPicture | None) -> list[Picture]:
-    pictures = [Picture.of("photo", photo.rgb)]
-    return pictures if measured is None else [*pictures, measured.picture]
+        pictures.append(measured.picture)
+    return prompt, pictures
 
 
 def _known_values(known: KnownCamera) -> list[str]:
@@ -162,9 +150,7 @@ def correction_request(
     photo: Photo,
     response: ParsedScene,
     findings: Sequence[str],
-    known: KnownCamera | None = None,
-    measured: MeasuredPicture | None = None,
-    names: Sequence[str] = (),
+    evidence: Evidence = NOTHING,
 ) -> Request[SceneCorrection]:
     """Return the request for the correction of a response.
 
@@ -172,12 +158,11 @@ def correction_request(
         photo: the photograph.
         response: the response to correct.
         findings: faults of the response, each as one line.
-        known: what is known of the camera.
-        measured: the photograph with measurements, if there are any.
-        names: names of the objects of which the user knows something.
+        evidence: what is known of the scene.
     """
+    ask, pictures = _ask(photo, evidence)
     prompt = REPAIR_PROMPT.format(
-        ask=_request_prompt(photo, known, measured, names),
+        ask=ask,
         response=response.model_dump_json(indent=1),
         findings="\n".join(f"- {line}" for line in findings),
     )
@@ -187,7 +172,7 @@ def correction_request(
         system=package_text(__package__, "reasoner"),
         prompt=prompt,
         schema=SceneCorrection,
-        pictures=_pictures(photo, measured),
+        pictures=pictures,
     )
 
 
@@ -217,7 +202,7 @@ def critic_request(
             findings=FINDINGS_PROMPT.format(lines=lines) if findings else "",
         ),
         schema=SceneCritique,
-        pictures=[Picture.of("photo", photo.rgb), drawn],
+        pictures=[Picture("photo", photo.rgb), drawn],
     )
 
 

@@ -19,6 +19,7 @@ from ..io import file_bounds, read_arrays
 from ..io.files import write_atomic
 from ..io.limited_worker import call_limited
 from ..quantities import count
+from ..spec.convex import sphere_directions, volume_of_hull
 
 CLOSED_LIMITS, OPEN_LIMITS = (0.03, 96), (0.08, 16)
 """Concavity threshold, relative to the mesh's size, and largest number of pieces, of closed meshes
@@ -230,16 +231,6 @@ def _merge_vertices(vertices: NDArray, faces: NDArray) -> Any:
     return trimesh.Trimesh(vertices, faces, process=True)
 
 
-def volume_of_hull(vertices: NDArray) -> float:
-    """Return the volume [m^3] of the convex hull; 0 for flat points."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return float(ConvexHull(vertices).volume)
-    except (QhullError, ValueError):
-        return 0.0
-
-
 def hull_points(vertices: NDArray) -> NDArray:
     """Return a few points [n, 3] whose convex hull approximates that of a mesh and is never flat.
 
@@ -269,14 +260,10 @@ def _extreme_rows(points: NDArray) -> NDArray:
 @lru_cache(maxsize=1)
 def _directions() -> NDArray:
     """Return unit vectors [n, 3], evenly spread and to the faces, edges and corners of a box."""
-    k = np.arange(120) + 0.5
-    z = 1 - 2 * k / 120
-    angle = np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z * z)
-    spread = np.column_stack([r * np.cos(angle), r * np.sin(angle), z])
     box = np.array([[x, y, w] for x in (-1, 0, 1) for y in (-1, 0, 1) for w in (-1, 0, 1)], float)
     box = box[np.abs(box).sum(axis=1) > 0]
-    return np.vstack([spread, box / np.linalg.norm(box, axis=1, keepdims=True)])
+    box = box / np.linalg.norm(box, axis=1, keepdims=True)
+    return np.vstack([sphere_directions(120), box])
 
 
 def _coacd(_: Path, vertices: NDArray, faces: NDArray) -> list[NDArray]:

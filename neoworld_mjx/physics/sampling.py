@@ -3,14 +3,12 @@
 The extreme points determine an object's image box, and whether the object is round.
 """
 
-import functools
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
 from ..spec import SceneObject
-from ..spec.convex import Piece, hull, planes, polytope
+from ..spec.convex import Piece, hull, planes, polytope, sphere_directions, support_points
 from ..spec.pose import Pose, matrix
 from .support import posed_pieces
 
@@ -142,17 +140,8 @@ def _faces(piece: Piece, count: int) -> NDArray:
         flip = u + w > 1
         u, w = np.where(flip, 1 - u, u), np.where(flip, 1 - w, w)
         return a[pick] + u[:, None] * (b - a)[pick] + w[:, None] * (c - a)[pick]
-    ball = np.column_stack(
-        [
-            np.sin(np.arccos(1 - 2 * k / count)) * np.cos(golden * k),
-            np.sin(np.arccos(1 - 2 * k / count)) * np.sin(golden * k),
-            1 - 2 * k / count,
-        ]
-    )
-    if piece.kind == "sphere":
-        return ball * s[0]
-    if piece.kind == "ellipsoid":
-        return ball * s
+    if piece.kind in ("sphere", "ellipsoid"):
+        return sphere_directions(count) * (s[0] if piece.kind == "sphere" else s)
     if piece.kind == "capsule":
         length = 2 * s[1] + 2 * s[0]
         z = (k / count - 0.5) * length
@@ -197,7 +186,7 @@ def extreme_points(item: SceneObject) -> Float[np.ndarray, "direction 3"]:
 
     An image box computed from these points is at most half a percent too small for a smooth object.
     """
-    return _farthest_points(item, sphere_directions())
+    return _farthest_points(item, sphere_directions(HULL_DIRECTIONS))
 
 
 def is_round(item: SceneObject) -> bool:
@@ -213,39 +202,11 @@ def is_round(item: SceneObject) -> bool:
     return bool(np.ptp(reach, axis=1).max() < ROUND_TOLERANCE * max_radius)
 
 
-@functools.cache
-def sphere_directions() -> NDArray:
-    """Return evenly spread unit vectors, shape [n, 3]."""
-    k = np.arange(HULL_DIRECTIONS) + 0.5
-    z, turn = 1 - 2 * k / HULL_DIRECTIONS, np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-
-
 def _farthest_points(item: SceneObject, directions: NDArray) -> NDArray:
     best, points = np.full(len(directions), -np.inf), np.zeros(directions.shape)
     for piece, pose in posed_pieces(item, tilted=False):
-        candidates = pose.apply(_support_points(piece, directions @ matrix(pose.quat)))
+        candidates = pose.apply(support_points(piece, directions @ matrix(pose.quat)))
         reach = np.sum(candidates * directions, axis=1)
         farther = reach > best
         best[farther], points[farther] = reach[farther], candidates[farther]
     return points
-
-
-def _support_points(piece: Piece, d: NDArray) -> NDArray:
-    """Return the support points [n, 3] of a piece along unit directions, in the piece's frame."""
-    if piece.kind == "mesh":
-        v = np.asarray(piece.vertices, float)
-        return v[np.argmax(d @ v.T, axis=1)]
-    s, up = np.asarray(piece.size, float), np.array([0.0, 0.0, 1.0])
-    if piece.kind == "box":
-        return np.sign(d) * s
-    if piece.kind == "sphere":
-        return d * s[0]
-    if piece.kind == "ellipsoid":
-        return d * s**2 / np.linalg.norm(d * s, axis=1, keepdims=True)
-    end = np.sign(d[:, 2:]) * s[1] * up
-    if piece.kind == "capsule":
-        return d * s[0] + end
-    flat = d * (1 - up)
-    return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) * s[0] + end

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..spec import SceneObject, SceneSpec, Shape, link_poses, support_frame
 from ..spec.convex import Piece, planes
 from ..spec.pose import Pose, conjugate, from_yaw, pose, rotate
+from ..spec.shapes import faceted
 from .array_types import AnyArray
 
 GRID = 160
@@ -175,11 +176,9 @@ def underside_points(item: SceneObject) -> NDArray:
 
 
 def _corners(piece: Piece, piece_pose: Pose) -> NDArray:
-    if piece.kind == "mesh":
-        return piece_pose.apply(np.array(piece.vertices))
+    if piece.kind in ("box", "mesh"):
+        return piece_pose.apply(faceted(piece))
     s = np.asarray(piece.size, float)
-    if piece.kind == "box":
-        return piece_pose.apply(np.array(np.meshgrid(*([-1, 1],) * 3)).reshape(3, -1).T * s)
     if piece.kind in ("sphere", "ellipsoid"):
         r = np.full(3, s[0]) if piece.kind == "sphere" else s
         down = rotate(conjugate(piece_pose.quat), np.array([0.0, 0.0, -1.0]))

@@ -9,14 +9,17 @@ objects would lead to another scene than was meant.
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks.static_checks import distance_outside
 from ..errors import SpecError
+from ..export.importing import ImportedScene
 from ..io.names import identifier
+from ..physics.support import posed_pieces
 from ..spec import (
     Box,
     Box2D,
@@ -36,16 +39,11 @@ from ..spec import (
 )
 from ..spec.opening import opening_share
 from ..spec.pose import from_yaw, pose, rotate
+from ..spec.scale import scale, scaled_state
 from ..spec.scene import transformed_scene
 
 if TYPE_CHECKING:
     import trimesh
-from dataclasses import replace
-
-from ..checks.static_checks import distance_outside
-from ..export.importing import ImportedScene
-from ..spec import link_poses, pieces
-from ..spec.scale import scale, scaled_state
 
 FOOTPRINT_GRID = 9
 """Number of rays along each side of an object's footprint."""
@@ -361,12 +359,8 @@ def doubt_solids(scene: SceneSpec) -> None:
     """
     poses = world_poses(scene)
     for outer in scene.objects:
-        solids = [
-            (piece, poses[outer.name].then(links[part.name]).then(local))
-            for links in [link_poses(outer.spec, outer.joint_state)]
-            for part in outer.spec.parts
-            for _, piece, local in pieces(part)
-        ]
+        place = poses[outer.name]
+        solids = [(piece, place.then(at)) for piece, at in posed_pieces(outer, tilted=False)]
         top = _world_box(outer, scene)[1][2]
         inside = {}
         for item in scene.objects:

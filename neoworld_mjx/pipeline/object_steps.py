@@ -16,7 +16,8 @@ from ..program.synthesise import ProgramSource, all_instructions, synthesise
 from ..run_folder import RunFolder
 from ..spec import ObjectSpec, SceneTree, TreeNode
 from ..verify.patch import write_patch
-from ..verify.verification import VerificationResult, verify_object
+from ..verify.repairs import Repair
+from ..verify.verification import verify_object
 from .edited_files import build_edited, note_edited_program, program_edited
 from .step_context import (
     PARSED,
@@ -66,14 +67,7 @@ def _parse(context: StepContext, inputs: dict[str, object], known: "Evidence") -
     photo, models = context.photo_and_models()
     with run.step("parse", inputs) as out:
         assert out is not None
-        parsed = run_coroutine(
-            parse(
-                *(photo, models, options),
-                known=known.camera,
-                depth=known.depth,
-                objects=known.objects,
-            )
-        )
+        parsed = run_coroutine(parse(photo, models, options, known))
         if known.depth is not None:
             check_distances(known.depth, parsed.tree)
         files: dict[str, str | bytes] = {
@@ -251,7 +245,7 @@ def verify_objects(context: StepContext) -> None:
         )
         with run.step(name, inputs) as out:
             assert out is not None
-            files = _changed_files(result, spec)
+            files = _changed_files(result)
             if built is not None:
                 files.setdefault(SPEC, spec.to_json())
                 note_edited_program(run, node.name, built)
@@ -263,17 +257,17 @@ def verify_objects(context: StepContext) -> None:
     run_coroutine(_all_or_first_error(map(verify_one, tree.nodes)))
 
 
-def _changed_files(result: VerificationResult, spec: ObjectSpec) -> dict[str, str]:
+def _changed_files(result: Repair) -> dict[str, str]:
     """Return the contents of verify.json and of the changed files of an object by file name."""
     files = {"verify.json": result.to_json()}
     if result.program is not None:
         files |= {PROGRAM: result.program.text, ROUNDS: result.program.to_json()}
     if result.changed:
-        files[SPEC] = result.applied(spec).to_json()
+        files[SPEC] = result.spec.to_json()
     return files
 
 
-def _record_verification(run: RunFolder, name: str, result: VerificationResult) -> None:
+def _record_verification(run: RunFolder, name: str, result: Repair) -> None:
     """Record the outcome of the verification of an object in run.json."""
     step = f"verify/{name}"
     if result.program is not None:

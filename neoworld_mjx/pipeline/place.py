@@ -177,7 +177,7 @@ def refine_placed(
     o, final = options or RefineOptions(), None
     picture = None
     if photo is not None and o.semantic.scorer == "mllm":
-        picture = Picture.of("photo", photo)
+        picture = Picture("photo", photo)
     refined = refine(
         scene if model is None else model,
         o,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import spec as S
+from ..spec.convex import volume_of_hull
 from . import session as validate
 from .part import Shape, Vec3
 from .shape_functions import MAX_POINTS, make_shape
@@ -72,9 +73,7 @@ def _hulls(rings: NDArray) -> list[NDArray]:
 
 
 def _is_convex(rings: NDArray) -> bool:
-    from scipy.spatial import ConvexHull
-
-    volume = lambda corners: ConvexHull(corners.reshape(-1, 3)).volume
+    volume = lambda corners: volume_of_hull(corners.reshape(-1, 3))
     bands = sum(volume(rings[i : i + 2]) for i in range(len(rings) - 1))
     return bool(volume(rings) <= (1 + CONVEX_EXCESS) * bands)
 

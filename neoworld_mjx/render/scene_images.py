@@ -51,11 +51,9 @@ def scene_view(scene: SceneSpec, width: int | None = None, height: int | None = 
         return View.of(scene.camera, width, height)
     columns = width or (480 if height is None else height * 3 // 2)
     rows = height or columns * 2 // 3
-    items = [obj for obj in scene.objects if not obj.environment] or list(scene.objects)
-    poses = world_poses(scene)
-    points = [poses[obj.name].apply(visible_vertices(obj.spec, obj.joint_state)) for obj in items]
     # Look from the -x side, as cameras of photographs do.
-    return View.framing(np.vstack(points), width=columns, height=rows, azimuth=np.radians(215))
+    azimuth = np.radians(215)
+    return View.framing(subject_points(scene), width=columns, height=rows, azimuth=azimuth)
 
 
 def render_object(

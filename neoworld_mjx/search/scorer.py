@@ -192,7 +192,7 @@ class SemanticScorer:
         for k in chosen:
             scene = self._model.apply(layouts, k, poses)
             assert scene.camera is not None
-            picture = Picture.of("candidate", render_plain(scene, scene.camera, width=PICTURE_PX))
+            picture = Picture("candidate", render_plain(scene, scene.camera, width=PICTURE_PX))
             self._pending[k] = self._panel.ask_soon(score_request(self._photo, picture, scene))
         self._requested_at = time.monotonic()
 

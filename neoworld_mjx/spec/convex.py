@@ -71,6 +71,16 @@ def hull(points: tuple[Vector, ...]) -> tuple[NDArray, NDArray]:
     return v, faces
 
 
+def volume_of_hull(points: NDArray) -> float:
+    """Return the volume [m^3] of the convex hull of points [n, 3]; 0 if they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
 def planes(piece: Piece) -> NDArray:
     """Return the half-spaces n.x <= d of a "box" or "mesh" piece as rows (n, d), shape [f, 4].
 
@@ -170,6 +180,42 @@ def extent(piece: Piece, direction: NDArray) -> float:
     if piece.kind == "ellipsoid":
         return float(np.linalg.norm(s * d))
     return float((np.array(piece.vertices) @ d).max())
+
+
+@lru_cache(maxsize=64)
+def sphere_directions(count: int) -> NDArray:
+    """Return evenly spread unit vectors, shape [count, 3]."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+def support_points(piece: Piece, directions: NDArray) -> NDArray:
+    """Return the point of a piece that is farthest along each unit vector, in the piece's frame.
+
+    Args:
+        piece: the piece.
+        directions: unit vectors, shape [n, 3].
+
+    Returns:
+        Points [m], shape [n, 3].
+    """
+    d, s = directions, np.array(piece.size)
+    if piece.kind == "mesh":
+        vertices = np.array(piece.vertices)
+        return vertices[np.argmax(d @ vertices.T, axis=1)]
+    if piece.kind == "box":
+        return np.where(d >= 0, s, -s)
+    if piece.kind == "sphere":
+        return d * s[0]
+    if piece.kind == "ellipsoid":
+        return d * s**2 / np.linalg.norm(d * s, axis=1, keepdims=True)
+    ends = np.where(d[:, 2:] >= 0, s[1], -s[1]) * [0.0, 0.0, 1.0]
+    if piece.kind == "capsule":
+        return ends + d * s[0]
+    flat = d * [1.0, 1.0, 0.0]
+    return ends + flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) * s[0]
 
 
 def box_around(piece: Piece, pose: Pose) -> tuple[NDArray, NDArray]:

@@ -188,29 +188,16 @@ def crossing_edges(loops: list[NDArray]) -> tuple[int, int] | None:
     Neighboring edges may touch at their common corner. The index of an edge is the index of its
     first point, counted over all loops.
     """
-    a = np.vstack(loops)
-    b = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
-    n = len(a)
-    following = np.concatenate(
-        [
-            start + (np.arange(len(loop)) + 1) % len(loop)
-            for start, loop in zip(np.cumsum([0, *map(len, loops[:-1])]), loops, strict=True)
-        ]
-    )
-    side = lambda p, q, r: (
-        (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1])
-        - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
-    )
-    p, q, r, s = a[:, None], b[:, None], a[None], b[None]
-    separated = (side(p, q, r) * side(p, q, s) > 0) | (side(r, s, p) * side(r, s, q) > 0)
-    # Edges on one line are apart if their spans are apart.
-    spans = (np.maximum(p, q) < np.minimum(r, s)) | (np.maximum(r, s) < np.minimum(p, q))
-    separated |= spans.any(axis=-1)
-    adjacent = np.zeros((n, n), bool)
-    adjacent[np.arange(n), following] = adjacent[following, np.arange(n)] = True
-    adjacent |= np.eye(n, dtype=bool)
-    meeting = np.argwhere(~separated & ~adjacent)
-    return (int(meeting[0][0]), int(meeting[0][1])) if len(meeting) else None
+    import shapely
+
+    starts = np.vstack(loops)
+    ends = np.vstack([np.roll(loop, -1, axis=0) for loop in loops])
+    numbers = np.split(np.arange(len(starts)), np.cumsum([len(loop) for loop in loops])[:-1])
+    following = np.concatenate([np.roll(loop, -1) for loop in numbers])
+    edges = np.asarray(shapely.linestrings(np.stack([starts, ends], axis=1)))
+    one, other = shapely.STRtree(edges).query(edges, predicate="intersects")
+    apart = (one < other) & (following[one] != other) & (following[other] != one)
+    return min(zip(one[apart].tolist(), other[apart].tolist(), strict=True), default=None)
 
 
 class Sweep(BaseShape):

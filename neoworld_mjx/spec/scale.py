@@ -83,11 +83,6 @@ class BoxFit(NamedTuple):
     factor: float
     """Isotropic scale factor."""
 
-    @property
-    def bottom_center(self) -> NDArray:
-        """Center of the bottom face of the bounds before scaling [m], shape [3]."""
-        return np.array([*((self.low[:2] + self.high[:2]) / 2), self.low[2]])
-
     def scaled(self) -> tuple[ObjectSpec, dict[str, float]]:
         """Return the scaled object and its joint values [rad or m]."""
         return scale(self.spec, self.factor), scaled_state(self.spec, self.state, self.factor)

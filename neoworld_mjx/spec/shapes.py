@@ -36,6 +36,7 @@ from .primitives import (
     Sectors,
     Sphere,
 )
+from .triangles import SECTORS
 
 MAX_VERTICES, MAX_HULLS = 200_000, 512
 UNKNOWN, HELPER = "unknown", "helper"
@@ -207,10 +208,7 @@ def _tool(piece: Piece, pose: Pose) -> _Tool:
     import manifold3d
 
     half = planes(piece)
-    local = np.array(piece.vertices)
-    if piece.kind == "box":
-        local = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * piece.size
-    corners = pose.apply(local)
+    corners = pose.apply(faceted(piece))
     normals = pose.apply(half[:, :3]) - pose.pos
     offsets = (corners @ normals.T).max(axis=0)
     solid = manifold3d.Manifold.hull_points(corners)
@@ -271,7 +269,7 @@ def _faceted_piece(kind: Kind, size: tuple[float, ...], sectors: int) -> Piece:
     return polytope(faceted(Piece(kind, size), sectors))
 
 
-def faceted(piece: Piece, sectors: int) -> NDArray:
+def faceted(piece: Piece, sectors: int = SECTORS) -> NDArray:
     """Return the corners of a piece, or points on a round one, in its frame [m], shape [n, 3]."""
     if piece.kind == "mesh":
         return np.array(piece.vertices)

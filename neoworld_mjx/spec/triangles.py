@@ -1,6 +1,6 @@
 """Closed triangle meshes: revolution, extrusion, normals, volume and distance.
 
-Polygons in the plane: areas, and signed distances to outlines.
+Polygons in the plane: areas, and distances to their convex hull.
 """
 
 import math
@@ -15,7 +15,7 @@ BALL_SECTORS, RINGS = 32, 16
 CREASE = math.radians(40.0)
 """Largest angle between faces across which shading is smooth [rad]."""
 MAX_PAIRS = 400_000
-"""Number of pairs of a point and a triangle (or an edge) that are processed at once."""
+"""Number of pairs of a point and a triangle that are processed at once."""
 
 
 def corner_normals(vertices: NDArray, faces: NDArray, crease: float = CREASE) -> NDArray:
@@ -164,44 +164,17 @@ HULL_EDGE_SAMPLES = 17
 """Number of points along each edge of a hull at which the distance to the polygons is measured."""
 
 
-def edges_distance(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Return the distances [n] of points [n, 2] to the nearest of the edges from a to b [e, 2]."""
-    edge = b - a
-    length = np.maximum(np.sum(edge * edge, axis=1), 1e-300)
-    best = np.full(len(p), np.inf)
-    for i in range(0, len(p), max(1, MAX_PAIRS // len(a))):
-        chunk = slice(i, i + max(1, MAX_PAIRS // len(a)))
-        from_a = p[chunk, None] - a
-        t = np.clip(np.sum(from_a * edge, axis=2) / length, 0.0, 1.0)
-        gap = from_a - t[..., None] * edge
-        best[chunk] = np.sqrt(np.sum(gap * gap, axis=2).min(axis=1))
-    return best
-
-
-def inside_edges(p: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Return a mask [n] of the points [n, 2] that lie inside closed loops of edges.
-
-    A point lies inside if the number of edges to its right is odd.
-    """
-    x, y = p[:, :1], p[:, 1:]
-    crosses = (a[:, 1] > y) != (b[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return np.sum(crosses & (crossing > x), axis=1) % 2 == 1
-
-
 def hull_excess(polygons: list[NDArray]) -> float:
     """Return the largest distance between neighboring polygons [n, 2] and their convex hull."""
-    from scipy.spatial import ConvexHull
+    import shapely
 
-    corners = np.vstack(polygons)
-    low, span = corners.min(axis=0), np.ptp(corners, axis=0).max()
-    around = corners[ConvexHull((corners - low) / span).vertices]
+    corners = shapely.multipoints(np.vstack(polygons))
+    around = shapely.get_coordinates(shapely.convex_hull(corners))
     # The largest distance is at edges of the hull that span a gap.
     along = np.linspace(0.0, 1.0, HULL_EDGE_SAMPLES)[:, None, None]
-    lids = around + along * (np.roll(around, -1, axis=0) - around)
-    a, b = corners, np.vstack([np.roll(polygon, -1, axis=0) for polygon in polygons])
-    return float(edges_distance(lids.reshape(-1, 2), a, b).max())
+    lids = around[:-1] + along * np.diff(around, axis=0)
+    edges = shapely.MultiLineString([np.vstack([p, p[:1]]) for p in polygons])
+    return float(shapely.distance(shapely.points(lids), edges).max())
 
 
 def polygon_area(p: NDArray) -> float:

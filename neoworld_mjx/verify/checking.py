@@ -13,7 +13,8 @@ from ..export import export_object
 from ..export.object_of_mechanism import Imported
 from .patch import Patch, patch_path, write_patch
 from .read_target import PatchedProgram
-from .verification import VerificationResult, verify_and_repair
+from .repairs import Repair
+from .verification import verify_and_repair
 
 MAX_PRINTED = 20
 """Number of lines of a program's output that a terminal shows."""
@@ -91,12 +92,12 @@ def check_object(
             patch = (program.patch or Patch()).merged_with(result.patch)
             output["patch"] = str(write_patch(program.file, patch))
         if out is not None:
-            export_object(result.applied(target.spec), out)
+            export_object(result.spec, out)
             output["folder"] = str(out)
     return output
 
 
-def _report(result: VerificationResult) -> dict[str, Any]:
+def _report(result: Repair) -> dict[str, Any]:
     """Return a result as a JSON object: verdict, counts, checks (the worst first) and repairs."""
     verdict = result.verdict
     outcomes = [check.outcome for check in verdict.checks]
@@ -121,7 +122,7 @@ def _report(result: VerificationResult) -> dict[str, Any]:
     }
     if result.tried:
         report["repair"] = {
-            "before": list((result.before or verdict).faults),
+            "before": list(result.before.faults),
             "changes": list(result.patch.changes()),
             "tried": list(result.tried),
         }

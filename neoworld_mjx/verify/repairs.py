@@ -6,19 +6,19 @@ rule to patches that a model proposes. `Repair.try_program` accepts a new progra
 fault score.
 """
 
-from collections.abc import Callable, Collection, Sequence
+import json
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks.joint_checks import pivot_edges
 from ..checks.object_tests import ObjectTests
-from ..checks.signals import Allowance
 from ..checks.static_checks import Probe
-from ..checks.verdict import Check, Fault, Verdict, with_waived_falls
+from ..checks.verdict import WAIVER_HINT, Check, Fault, Verdict, with_waived_falls
 from ..errors import SpecError
 from ..program.ask import SynthesisResult
 from ..program.assemble import SETTLING_S, default_losses
@@ -32,23 +32,16 @@ GAIN = 0.05
 """A patch or a new program is accepted only if it lowers the fault score by more than this."""
 
 
-@runtime_checkable
-class RunTests(Protocol):
-    """Function that runs the object tests.
-
-    By default, the overlaps that the first program declares are allowed.
-    """
-
-    def __call__(self, spec: ObjectSpec, /, *, allowed: Sequence[Allowance] = ...) -> ObjectTests:
-        """Return the results of the object tests."""
-        ...
+RunTests = Callable[..., ObjectTests]
+"""Runs the object tests of an object. Its keyword `allowed` replaces the overlaps that the first
+program declares."""
 
 
 @dataclass
 class Repair:
-    """State of the repair of an object: the accepted patch, and the results with this patch.
+    """Repair of an object: the accepted patch or new program, and the test results with it.
 
-    `try_patch`, `try_program` and `waive` update the state.
+    `try_patch`, `try_program` and `waive` update the repair.
     """
 
     original: ObjectSpec
@@ -62,21 +55,44 @@ class Repair:
     """The accepted patch."""
     tried: list[str] = field(default_factory=list)
     """Description of every patch that was tried, with the fault score before and after."""
+    seen: list[str] = field(default_factory=list)
+    """The critic's findings in the key frames."""
     lost_critics: list[tuple[str, str]] = field(default_factory=list)
     """Pairs of a request that a model failed to answer, and the reason."""
     program: SynthesisResult | None = None
     """The new program that built `original`; None if the first program built it."""
-    unfulfilled: list[str] = field(default_factory=list)
+    unmet: list[str] = field(default_factory=list)
     """Findings for which the critic asked for a new program that could not be requested."""
 
     @property
-    def after(self) -> Verdict:
+    def spec(self) -> ObjectSpec:
+        """The object with the accepted patch."""
+        return self.tests.spec
+
+    @property
+    def verdict(self) -> Verdict:
         """Verdict on the object with the accepted patch."""
         return self.tests.verdict
 
+    @property
+    def changed(self) -> bool:
+        """True if the object has a new program or a patch."""
+        return self.program is not None or not self.patch.empty
+
+    @property
+    def waived(self) -> tuple[Check, ...]:
+        """Failed checks that the critic waived."""
+        return tuple(check for check in self.verdict.checks if check.hint == WAIVER_HINT)
+
+    def to_json(self) -> str:
+        """Return the verdict as JSON, with changes, tried patches and the critic's findings."""
+        data = self.verdict.model_dump(mode="json")
+        data |= {"changes": self.patch.changes(), "tried": self.tried, "seen": self.seen}
+        return json.dumps(data, indent=1) + "\n"
+
     def try_patch(self, patch: Patch) -> bool:
         """Try a patch on top of the accepted patch; return True if it helps and is accepted."""
-        previous_score, merged = self.after.score, self.patch.merged_with(patch)
+        previous_score, merged = self.verdict.score, self.patch.merged_with(patch)
         description = "; ".join(patch.changes())
         try:
             changed, _ = apply(merged, self.original)
@@ -86,31 +102,27 @@ class Repair:
         tests = self.run(changed)
         score, faults = tests.verdict.score, set(tests.verdict.faults)
         self.tried.append(f"{description}: fault score {previous_score:.2f} to {score:.2f}")
-        helps = score < previous_score - GAIN and faults.issubset(self.after.faults)
+        helps = score < previous_score - GAIN and faults.issubset(self.verdict.faults)
         if helps:
             self.patch, self.tests = merged, tests
         return helps
 
-    def try_program(self, result: SynthesisResult, *, rounds: int = 6) -> bool:
+    def try_program(self, result: SynthesisResult) -> bool:
         """Replace the object by that of a new program if the fault score decreases.
-
-        Args:
-            result: the new program.
-            rounds: largest number of rounds of direct repairs of the new object.
 
         Returns:
             True if the object was replaced.
         """
-        previous_score = self.after.score
+        previous_score = self.verdict.score
         if result.spec is None:
             self.tried.append(f"new program: {result.reason}")
             return False
         run = partial(self.run, allowed=result.allowances)
-        candidate = repair(result.spec, run, rounds=rounds)
+        candidate = repair(result.spec, run)
         self.tried.append(
-            f"new program: fault score {previous_score:.2f} to {candidate.after.score:.2f}"
+            f"new program: fault score {previous_score:.2f} to {candidate.verdict.score:.2f}"
         )
-        if candidate.after.score >= previous_score - GAIN:
+        if candidate.verdict.score >= previous_score - GAIN:
             return False
         self.tried += candidate.tried
         self.original, self.run, self.program = candidate.original, run, result
@@ -119,25 +131,22 @@ class Repair:
 
     def waive(self) -> None:
         """Waive checks that fail only because the object is tested without its scene."""
-        self.tests = replace(self.tests, verdict=with_waived_falls(self.after))
+        self.tests = replace(self.tests, verdict=with_waived_falls(self.verdict))
 
 
-def repair(
-    spec: ObjectSpec, run: RunTests, *, rounds: int = 6, first: ObjectTests | None = None
-) -> Repair:
+def repair(spec: ObjectSpec, run: RunTests, *, rounds: int = 6) -> Repair:
     """Repair an object with patches that are derived from measurements.
 
     Args:
         spec: the object.
         run: runs the object tests.
         rounds: largest number of rounds, each of which addresses one cause.
-        first: test results of `spec`; if None, the tests are run.
     """
-    tests = first or run(spec)
+    tests = run(spec)
     repaired = Repair(spec, run, tests, tests.verdict)
     given_up: set[tuple[Fault | None, str]] = set()
     for _ in range(rounds):
-        check = _likeliest_cause(repaired.after, given_up)
+        check = _likeliest_cause(repaired.verdict, given_up)
         if check is None:
             break
         patch = proposal(repaired.tests, check)

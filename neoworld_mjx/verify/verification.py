@@ -1,10 +1,8 @@
 """Step 3 for one object: object tests, repairs, and requests to models."""
 
 import asyncio
-import json
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
@@ -12,7 +10,6 @@ from pydantic import BaseModel
 
 from ..checks.object_tests import run_object_tests
 from ..checks.signals import Allowance
-from ..checks.verdict import WAIVER_HINT, Check, Verdict
 from ..config import VerifyOptions
 from ..errors import MissingResponseError
 from ..mllm import Model, Request, ask_or_record
@@ -22,56 +19,11 @@ from ..program.synthesise import ProgramSource, reprogram
 from ..spec import ObjectSpec, Quat
 from ..spec.pose import IDENTITY
 from .critic import MotionCritique, edit_request, findings, key_frames_request, standard_runs
-from .patch import Patch, apply
 from .repairs import Repair, repair
 
 _simulating = threading.Lock()
 R = TypeVar("R")
 T = TypeVar("T", bound=BaseModel)
-
-
-@dataclass(frozen=True)
-class VerificationResult:
-    """Result of Step 3 for one object."""
-
-    verdict: Verdict
-    """Verdict on the resulting object."""
-    before: Verdict | None
-    """Verdict on the object before repairs; None if the object was not changed."""
-    patch: Patch
-    program: SynthesisResult | None
-    """A new program that replaces the first program, and the object that it builds without
-    `patch`."""
-    tried: tuple[str, ...]
-    """Description of every patch that was tried, with the fault score before and after."""
-    seen: tuple[str, ...]
-    """The critic's findings in the key frames."""
-    lost_critics: tuple[tuple[str, str], ...]
-    """Pairs of a request that a model failed to answer, and the reason."""
-    unmet: tuple[str, ...]
-    """Findings for which the critic asked for a new program that could not be requested."""
-
-    @property
-    def changed(self) -> bool:
-        """True if the object has a new program or a patch."""
-        return self.program is not None or not self.patch.empty
-
-    @property
-    def waived(self) -> tuple[Check, ...]:
-        """Failed checks that the critic waived."""
-        return tuple(check for check in self.verdict.checks if check.hint == WAIVER_HINT)
-
-    def applied(self, spec: ObjectSpec) -> ObjectSpec:
-        """Return the object with the patch; a new program's object replaces `spec` first."""
-        if self.program is not None and self.program.spec is not None:
-            spec = self.program.spec
-        return spec if self.patch.empty else apply(self.patch, spec)[0]
-
-    def to_json(self) -> str:
-        """Return the verdict as JSON, with changes, tried patches and the critic's findings."""
-        data = self.verdict.model_dump(mode="json")
-        data |= {"changes": self.patch.changes(), "tried": self.tried, "seen": self.seen}
-        return json.dumps(data, indent=1) + "\n"
 
 
 async def verify_object(
@@ -84,7 +36,7 @@ async def verify_object(
     models: Model | None = None,
     surroundings: str = "",
     source: ProgramSource | None = None,
-) -> VerificationResult:
+) -> Repair:
     """Test an object, and repair it in at most `options.rounds` rounds (paper Section 3.2).
 
     Direct repairs come first. Then models are shown an object with failed or borderline checks, or,
@@ -114,30 +66,20 @@ async def verify_object(
     )
     direct = options.rounds if options.direct_repairs else 0
     repaired = await _simulated(lambda: repair(spec, run, rounds=direct))
-    critiques: list[MotionCritique] = []
     # A fixed object without joints has no scenarios, so there is nothing to show.
     always = options.critic == "always" and bool(standard_runs(repaired.tests))
-    shown = repaired.after.questionable or always
+    shown = repaired.verdict.questionable or always
     if models is not None and shown:
         critiques = await revise_with_models(
             repaired, models, options, surroundings=surroundings, source=source
         )
-    unchanged = repaired.patch.empty and repaired.program is None
-    return VerificationResult(
-        verdict=repaired.after,
-        before=None if unchanged else repaired.before,
-        patch=repaired.patch,
-        program=repaired.program,
-        tried=tuple(repaired.tried),
-        seen=tuple(f"{f.where}: {f.what}" for critique in critiques for f in critique.findings),
-        lost_critics=tuple(repaired.lost_critics),
-        unmet=tuple(repaired.unfulfilled),
-    )
+        repaired.seen = [f"{f.where}: {f.what}" for c in critiques for f in c.findings]
+    return repaired
 
 
 def verify_and_repair(
     spec: ObjectSpec, options: VerifyOptions | None = None, **arguments: Any
-) -> VerificationResult:
+) -> Repair:
     """Test an object and repair it; this is the blocking form of `verify_object`."""
     return run_coroutine(verify_object(spec, options or VerifyOptions(), **arguments))
 
@@ -180,7 +122,7 @@ async def revise_with_models(
         if critique.verdict == "sound":
             repaired.waive()
             break
-        if not options.rounds or repaired.after.passed:
+        if not options.rounds or repaired.verdict.passed:
             break
         tried_before = len(repaired.tried)
         if critique.verdict == "reprogram":
@@ -195,7 +137,7 @@ async def revise_with_models(
                 break
             await _simulated(partial(repaired.try_patch, proposed.patch))
         tried += repaired.tried[tried_before:]
-        if repaired.after.passed:
+        if repaired.verdict.passed:
             break
     return critiques
 
@@ -223,11 +165,11 @@ async def _reprogram(
     """Request another program; return None if it cannot be requested."""
     lines = findings(critique)
     if source is None:
-        repaired.unfulfilled.append("; ".join(lines) or "the critic states no finding")
+        repaired.unmet.append("; ".join(lines) or "the critic states no finding")
         return None
     failed = [
         f"simulated by itself: {check.scenario.replace('_', ' ')} {check.phrase()}"
-        for check in repaired.after.checks
+        for check in repaired.verdict.checks
         if check.outcome == "FAIL"
     ]
     try:

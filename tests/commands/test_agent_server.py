@@ -197,12 +197,12 @@ def test_a_response_is_tried_before_it_is_given(built):
 def test_pictures_of_a_result_fit_into_what_a_client_accepts(tmp_path):
     """The client of the SDK refuses results above 1 MiB, in which bytes are written as base64."""
     noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
-    pictures = [Picture.of(f"photo {k}", noise) for k in range(3)]
+    pictures = [Picture(f"photo {k}", noise) for k in range(3)]
     assert sum(len(picture.data) for picture in pictures) > 2**20
     sent = bounded(["text", *pictures], MAX_PICTURES_BYTES)
     assert sent[0] == "text"
     assert {media_type for media_type, _ in sent[1:]} == {"image/jpeg"}
-    small = Picture.of("small", noise[:20, :20])
+    small = Picture("small", noise[:20, :20])
     assert bounded([small], MAX_PICTURES_BYTES) == [("image/png", small.data)]
 
 

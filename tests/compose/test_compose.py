@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.compose.compose import as_parsed, compose, moved_tree
 from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.spec import (
@@ -173,7 +173,7 @@ def test_objects_stand_on_the_surfaces_of_furniture():
     assert heights["low"] == pytest.approx(0.21, abs=1e-3)
     assert heights["high"] == pytest.approx(0.51, abs=1e-3)
     assert result.scene.object("shelf").static
-    assert scene_measure(result.scene).s_stab
+    assert measured(result.scene).s_stab
     tree = SceneTree(camera=CAMERA, nodes=(ground(), *nodes))
     assert on_level(tree.node("shelf"), tree) and not on_level(tree.node("high"), tree)
 
@@ -262,7 +262,7 @@ def test_a_lying_object_is_tilted_to_its_resting_pose():
     turned = angle_between(item.base_tilt, forward)
     assert turned == pytest.approx(math.atan(0.010 / 0.07), abs=math.radians(1.0))
     assert any("mushroom: composition tilted it by" in note for note in result.notes)
-    assert scene_measure(result.scene).s_stab
+    assert measured(result.scene).s_stab
     # The center of its box has not moved.
     seen = bounds(thing, {}, forward)
     lies = bounds(thing, {}, item.base_tilt)
@@ -298,14 +298,14 @@ def test_an_unstable_upright_object_rolls_to_its_resting_pose():
     tree = SceneTree(camera=CAMERA, nodes=(support, node("spoon", spoon, (1.0, 0, 0))))
     settled = compose(tree, {"table": scenes.table(), "spoon": spoon}).scene
     assert 5 < math.degrees(float(angle_between(settled.objects[1].base_tilt, IDENTITY))) < 30
-    assert scene_measure(settled).s_stab is True
+    assert measured(settled).s_stab is True
     result = composed([node("spoon", spoon, (1.0, 0, 0))], {"spoon": spoon})
     turned = math.degrees(float(angle_between(result.scene.object("spoon").base_tilt, IDENTITY)))
     assert 5 < turned < 30
     assert result.notes == (
         f"spoon: composition tilted it by {turned:.1f} deg to its resting pose",
     )
-    assert scene_measure(result.scene).s_stab is True
+    assert measured(result.scene).s_stab is True
 
 
 @pytest.mark.parametrize("degrees", [70, 90, 100])
@@ -328,7 +328,7 @@ def test_an_almost_round_fruit_rests_where_it_is_seen():
     assert abs(short[2]) == pytest.approx(1.0, abs=1e-3)
     middle = world_poses(result.scene)["fruit"].apply(np.array([[0.0, 0.0, 0.0395]]))[0]
     assert middle[:2] == pytest.approx((1.0, 0.0), abs=1e-4)
-    assert scene_measure(result.scene).s_stab is True
+    assert measured(result.scene).s_stab is True
 
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (1, 0, 0), (0, -1, 0), (-1, 0, 0)])
@@ -356,7 +356,7 @@ def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
         (note,) = result.notes
         assert note.startswith("bar: settling it on saucer tilted it by 14 deg and moved it by ")
         assert angle_between(item.base_tilt, tilt) == pytest.approx(math.radians(14), abs=0.01)
-        assert scene_measure(result.scene).tilt_deg["bar"] < 1
+        assert measured(result.scene).tilt_deg["bar"] < 1
     else:
         assert item.base_tilt == pytest.approx(tilt)
         (note,) = result.notes
@@ -393,7 +393,7 @@ def test_an_attached_object_is_fixed_and_the_scene_is_stable():
     result = on_a_wall()
     assert result.scene.object("frame").fixed_base
     assert result.notes == ("frame: composition fixed it to wall, because it is attached",)
-    assert scene_measure(result.scene).movable == 0
+    assert measured(result.scene).movable == 0
 
 
 @pytest.mark.parametrize("depth", [0.1, -0.01])

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from neoworld_mjx.compose.resting_pose import MARGIN, hold_joints, joint_loads
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import Box, ObjectSpec, SceneObject, SceneSpec, inertial
 from tests.support import scenes
 from tests.support.mechanisms import WOOD, geom, joint, part
@@ -37,7 +37,7 @@ def lid_turn(obj: SceneObject) -> float:
     """Return the passive rotation of the lid in 2 s [deg]."""
     table = SceneObject(name="table", spec=scenes.table(), environment=True)
     scene = SceneSpec(objects=(table, obj.model_copy(update={"fixed_base": True})))
-    return scene_measure(scene).joint_turn_deg["chest-hinge"]
+    return measured(scene).joint_turn_deg["chest-hinge"]
 
 
 def test_an_open_lid_stays_at_its_parsed_angle():

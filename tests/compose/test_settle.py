@@ -7,7 +7,7 @@ import pytest
 
 from neoworld_mjx.compose.on_supports import snap
 from neoworld_mjx.compose.settle import has_same_footprint, position_inside, settle
-from neoworld_mjx.measure.scene_check import scene_measure
+from neoworld_mjx.measure.scene_check import measured
 from neoworld_mjx.spec import Box, Cylinder, HollowBox, SceneObject, SceneSpec
 from neoworld_mjx.spec.pose import angle_between, from_axis_angle, rotate
 from tests.support import scenes
@@ -25,7 +25,7 @@ def on_saucer(xy=(0.0, 0.035)):
 
 def turned(objects):
     scene = snap(SceneSpec(objects=objects))
-    return scene_measure(scene).tilt_deg["spoon"]
+    return measured(scene).tilt_deg["spoon"]
 
 
 def test_a_settled_spoon_is_stable():
@@ -85,8 +85,8 @@ def test_a_stick_that_penetrates_its_cup_settles_inside(x):
     assert angle_between(rested.base_tilt, stick.base_tilt) < math.radians(15)
     table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)
     held = cup.model_copy(update={"parent": "table", "environment": False, "z": 0.0401})
-    before = scene_measure(snap(SceneSpec(objects=(table, held, stick))))
-    after = scene_measure(snap(SceneSpec(objects=(table, held, rested))))
+    before = measured(snap(SceneSpec(objects=(table, held, stick))))
+    after = measured(snap(SceneSpec(objects=(table, held, rested))))
     assert after.max_depth_m < 0.001 and after.drift_m["stick"] < 0.005
     assert x < 0 or before.drift_m["stick"] > 0.005 or before.max_depth_m > 0.001
 

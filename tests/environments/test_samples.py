@@ -13,7 +13,7 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.contact_draws import SceneContacts
 from neoworld_mjx.environments.samples import SceneSamples
 from neoworld_mjx.errors import RunError, SpecError
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.model import compile_for_simulation, compile_scene
 from neoworld_mjx.physics.model_fields import model_fields
 from neoworld_mjx.physics.native import NativeEngine
@@ -143,7 +143,7 @@ def test_a_draw_is_measured_like_its_scene_alone():
     samples = nw.sample(scene, 3, options=OPTIONS)
     assert np.ptp(samples.poses.scale[:, 1:]) > 0.05
     for k, measure in enumerate(samples.measures):
-        alone = scene_measure(samples.scene(k), duration=OPTIONS.check_duration_s)
+        alone = measured(samples.scene(k), OPTIONS)
         assert measure.depths_m == pytest.approx(alone.depths_m, abs=2e-6)
         assert measure.drift_m == pytest.approx(alone.drift_m, abs=2e-4)
 

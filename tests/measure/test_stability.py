@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.config import RefineOptions
+from neoworld_mjx.measure import measured
 from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.spec import Box, HollowBox, SceneObject, Sphere
@@ -17,16 +18,16 @@ def box(name, size=(0.1, 0.1, 0.1)):
 
 @pytest.mark.parametrize("depth", [0.0004, 0.0009, 0.0011, 0.0019, 0.03])
 def test_depth_of_two_boxes_side_by_side(depth):
-    result = scene_measure(
+    result = measured(
         scenes.on_table((box("a"), (0, 0), 0.0, {}), (box("b"), (0.1 - depth, 0), 0.0, {})),
-        duration=0.01,
+        RefineOptions(check_duration_s=0.01),
     )
     assert result.max_depth_m == pytest.approx(depth, abs=1e-5)
     assert result.s_pen == int(depth > 1e-3)
 
 
 def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
-    still = scene_measure(snap_exactly(scenes.blocks()))
+    still = measured(snap_exactly(scenes.blocks()))
     assert still.s_stab is True
     assert still.movable == 3
     assert still.max_drift_m < 1e-3
@@ -35,7 +36,7 @@ def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
     ramp = scenes.single("ramp", (Box(size=(0.3, 0.2, 0.02)), (0, 0, 0)))
     scene = scenes.on_table((ramp, (0, 0), 0.0, {**lean, "environment": True}))
     objects = (*scene.objects, SceneObject(name="ball", spec=ball, parent="ramp", z=0.1))
-    rolling = scene_measure(scene.model_copy(update={"objects": objects}))
+    rolling = measured(scene.model_copy(update={"objects": objects}))
     assert rolling.s_stab is False
     assert rolling.drift_m["ball"] > 0.1
 
@@ -94,7 +95,7 @@ def about_y(degrees):
 
 
 def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(fabricated):
-    found = scene_measure(fabricated, duration=0.01)
+    found = measured(fabricated, RefineOptions(check_duration_s=0.01))
     assert (found.objects, found.movable, found.duration_s) == (4, 3, 0.01)
     assert found.drift_m == pytest.approx({"a": 0.03, "lamp": 1e-3, "cabinet": 1e-3})
     assert found.tilt_deg == pytest.approx({"a": 10.0, "lamp": 0.0, "cabinet": 0.0}, abs=1e-4)
@@ -106,9 +107,10 @@ def test_drift_and_tilt_are_those_of_the_worst_step_not_of_the_last(fabricated):
 
 
 def test_each_bound_decides_and_a_motion_at_its_bound_is_over_it(fabricated):
-    found = scene_measure(fabricated, duration=0.01)
-    stable = lambda **bounds: scene_measure(fabricated, duration=0.01, **bounds).s_stab
-    assert stable(max_drift=0.031, max_tilt=10.1) is True
-    assert stable(max_drift=found.max_drift_m, max_tilt=10.1) is False
-    assert stable(max_drift=0.031, max_tilt=found.max_tilt_deg) is False
-    assert stable(max_drift=0.031, max_tilt=9.9) is False
+    found = measured(fabricated, RefineOptions(check_duration_s=0.01))
+    options = lambda **bounds: RefineOptions(check_duration_s=0.01, **bounds)
+    stable = lambda **bounds: measured(fabricated, options(**bounds)).s_stab
+    assert stable(max_drift_m=0.031, max_tilt_deg=10.1) is True
+    assert stable(max_drift_m=found.max_drift_m, max_tilt_deg=10.1) is False
+    assert stable(max_drift_m=0.031, max_tilt_deg=found.max_tilt_deg) is False
+    assert stable(max_drift_m=0.031, max_tilt_deg=9.9) is False

@@ -36,7 +36,7 @@ def request_of(**changes) -> Request:
         "system": "You see.",
         "prompt": "Which colour?",
         "schema": Colour,
-        "pictures": [Picture.of("photo", noise())],
+        "pictures": [Picture("photo", noise())],
     }
     return Request(**(given | changes))
 

@@ -38,7 +38,7 @@ def in_background(work) -> threading.Thread:
 
 
 def test_a_folder_holds_the_whole_request(make, tmp_path):
-    requests = make.request(name="program:cup", pictures=[Picture.of("the photo", make.noise())])
+    requests = make.request(name="program:cup", pictures=[Picture("the photo", make.noise())])
 
     def answer():
         folder = wait_for(tmp_path / "0001-program-cup")
@@ -114,7 +114,7 @@ def test_a_request_continues_after_a_timeout(make, tmp_path):
 
 
 def test_names_cannot_leave_the_mailbox(make, tmp_path):
-    requests = make.request(name="../../escape", pictures=[Picture.of("../x/y", make.noise())])
+    requests = make.request(name="../../escape", pictures=[Picture("../x/y", make.noise())])
     with panel_of(tmp_path / "box", timeout_s=0.05) as panel, pytest.raises(ModelError):
         panel.ask_sync(requests)
     assert [path.name for path in tmp_path.iterdir()] == ["box"]

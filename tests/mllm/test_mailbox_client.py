@@ -33,7 +33,7 @@ def asked(make, tmp_path):
 
 
 def test_a_request_is_read_in_its_parts(make, asked):
-    pictures = [Picture.of(f"view {k}", make.noise()) for k in range(11)]
+    pictures = [Picture(f"view {k}", make.noise()) for k in range(11)]
     request = make.request(name="program:cup", pictures=pictures)
     box, _ = asked(pictures=pictures)
     read = read_request(box)

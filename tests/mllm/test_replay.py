@@ -42,7 +42,7 @@ def test_round_trip_is_byte_for_byte_and_free_of_order(make, tmp_path):
     [
         (lambda make: {"prompt": "other"}, "differs in: prompt\\."),
         (
-            lambda make: {"pictures": [Picture.of("photo", make.noise(5))]},
+            lambda make: {"pictures": [Picture("photo", make.noise(5))]},
             "differs in: pictures\\.",
         ),
         (lambda make: {"schema": make.Shade}, "differs in: schema\\."),

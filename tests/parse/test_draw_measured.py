@@ -11,6 +11,7 @@ from PIL import Image
 
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.evidence.depth_image import DepthImage
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.known_camera import KnownCamera
 from neoworld_mjx.parse.draw_measured import DEPTH_INK, draw_measured
 from neoworld_mjx.parse.parse import parse
@@ -84,7 +85,7 @@ def test_requests_without_measurements_are_unchanged():
     models = ScriptedModel(copy.deepcopy(answers.desk()))
     options = ParseOptions(critic_rounds=0)
     relative = DepthImage(np.ones((60, 80)), "disparity")
-    asyncio.run(parse(photo, models, options, depth=relative))
+    asyncio.run(parse(photo, models, options, Evidence(depth=relative)))
     assert models.requests[0].prompt == parse_request(photo).prompt
     sent, plain = (request.pictures for request in (models.requests[0], parse_request(photo)))
     assert [p.data for p in sent] == [p.data for p in plain]
@@ -95,10 +96,10 @@ def test_requests_show_and_explain_the_measurements():
     models = ScriptedModel(copy.deepcopy(answers.desk()))
     options = ParseOptions(critic_rounds=0)
     depth = DepthImage(np.full((60, 80), 0.7))
-    asyncio.run(parse(photo, models, options, known=KNOWN, depth=depth))
+    asyncio.run(parse(photo, models, options, Evidence(camera=KNOWN, depth=depth)))
     request = models.requests[0]
     assert [picture.label for picture in request.pictures] == ["photo", "measured"]
     assert "z = 0, every 10 cm" in request.prompt and "measured depth at the dot" in request.prompt
     grid_only = draw_measured(photo, KNOWN, None)
-    again = correction_request(photo, response, ["a"], KNOWN, grid_only)
-    assert again.pictures[1] == grid_only.picture and "measured depth" not in again.prompt
+    again = correction_request(photo, response, ["a"], Evidence(camera=KNOWN))
+    assert again.pictures[1].data == grid_only.picture.data and "measured depth" not in again.prompt

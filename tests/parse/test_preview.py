@@ -96,15 +96,15 @@ def test_the_command_takes_the_folder_of_a_request(neoworld, tmp_path):
 def test_a_region_is_enlarged_with_rulers_in_pixels_of_the_whole():
     rgb = np.zeros((60, 80, 3), np.uint8)
     rgb[20:30, 40:50] = 200
-    region = draw_region(Picture.of("photo", rgb), (36, 16, 54, 34))
+    region = draw_region(Picture("photo", rgb), (36, 16, 54, 34))
     assert region.size == (900, 900)
     assert (region.rgb[450, 450] == 200).all()
     assert (region.rgb[100, 450] == 0).all()
     ticks = np.flatnonzero((region.rgb[0] == COLOURS[0]).all(axis=-1))
     assert set(range(0, 900, 50)) <= set(ticks.tolist())  # each pixel of the photograph
-    wide = draw_region(Picture.of("photo", np.zeros((480, 640, 3), np.uint8)), (0, 0, 640, 480))
+    wide = draw_region(Picture("photo", np.zeros((480, 640, 3), np.uint8)), (0, 0, 640, 480))
     assert wide.size == (900, 675)  # A region as wide as the picture is enlarged, too.
     (spots,) = np.nonzero((wide.rgb[0] == COLOURS[0]).all(axis=-1))
     assert round(600 * 900 / 640) in spots
     for box in ((-5, -5, -1, -1), (79.9, 59.9, 79.9, 59.9), (50, 40, 10, 10), (0, 0, 1e9, 1e9)):
-        assert min(draw_region(Picture.of("photo", rgb), box).size) >= 2
+        assert min(draw_region(Picture("photo", rgb), box).size) >= 2

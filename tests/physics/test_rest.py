@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions, SettleOptions
-from neoworld_mjx.measure import resting, scene_measure
+from neoworld_mjx.measure import measured, resting
 from neoworld_mjx.measure.scene_check import measures_of
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.physics.engine import RolloutStatus
@@ -110,9 +110,9 @@ def test_native_and_mjx_settle_candidates_at_the_same_places():
 
 def test_overlapping_blocks_come_apart_and_keep_their_headings():
     before = overlapping()
-    assert scene_measure(before, duration=0.01).max_depth_m > 0.004
+    assert measured(before, RefineOptions(check_duration_s=0.01)).max_depth_m > 0.004
     after = settle_scene(before, OPTIONS)
-    measure = scene_measure(after)
+    measure = measured(after)
     assert measure.max_depth_m < 1e-3 and measure.max_drift_m < 1e-3
     for name in ("one", "two"):
         a, b = before.object(name), after.object(name)
@@ -198,9 +198,8 @@ def test_candidates_fall_from_their_poses_side_by_side(three):
 
 def test_the_objects_of_each_candidate_that_rest_are_named(three):
     world, _, rested = three
-    o = RefineOptions()
-    limits = 0.5, o.max_depth_m, o.max_drift_m, o.max_tilt_deg
-    measures = measures_of(world, rested, *limits)
+    o = RefineOptions(check_duration_s=0.5)
+    measures = measures_of(world, rested, o)
     at_rest = [resting(world.spec, measure, o) for measure in measures]
     ball, table = world.names.index("ball"), world.names.index("table")
     assert at_rest[0].all()

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.cache import compilations
+from neoworld_mjx.cache import compiled
 from neoworld_mjx.physics import warp_engine
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
 from neoworld_mjx.physics.layout import Layout
@@ -123,12 +123,12 @@ def test_populations_of_few_sizes_compile_few_programs(engine, blocks):
     scene, poses = blocks
     host = jax.tree.map(np.asarray, poses)
     engine.rollout(scene, host, duration=0.1)
-    before = compilations()
+    before = compiled().programs
     for count in (18, 20, 23):
         Worlds.overflows = {count - 1: Worlds.PER_WORLD}
         rollout = engine.rollout(scene, host[:count], duration=0.1)
         assert rollout.pos.shape[0] == count
-    assert compilations() == before
+    assert compiled().programs == before
 
 
 def test_a_full_pool_of_contacts_is_doubled(engine, blocks):

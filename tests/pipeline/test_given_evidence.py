@@ -15,11 +15,11 @@ from PIL import Image
 import neoworld_mjx as nw
 from neoworld_mjx.config import ParseOptions
 from neoworld_mjx.errors import EvidenceError, RunError
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.evidence.stored import evidence_files, evidence_lines, read_stored
 from neoworld_mjx.mllm.replay import Tape
-from neoworld_mjx.parse.draw_measured import draw_measured
 from neoworld_mjx.parse.parse import parse
 from neoworld_mjx.parse.photo import MODEL_MIN_SIDE_PX, load_photo
 from neoworld_mjx.parse.prompts import parse_request
@@ -72,7 +72,7 @@ def tape_with(folder, photo, *depths):
     picture = load_photo(photo, min_side_px=MODEL_MIN_SIDE_PX)
     parsed = next(entry for entry in tape.answers.values() if entry.name == "parse")
     for values in depths:
-        request = parse_request(picture, None, draw_measured(picture, None, values))
+        request = parse_request(picture, Evidence(depth=values))
         tape.answers[request.key] = parsed
     tape.save(folder / "depths.tape.json")
     return (folder / "depths.tape.json",)
@@ -231,7 +231,7 @@ def test_known_camera_is_told_to_the_model_and_replaces_its_answer():
     )
     models = ScriptedModel(data)
     options = ParseOptions(critic_rounds=0)
-    parsed = asyncio.run(parse(photo, models, options, known=known))
+    parsed = asyncio.run(parse(photo, models, options, Evidence(camera=known)))
     prompt = models.requests[0].prompt
     fovy = math.degrees(2 * math.atan(camera.height_px / 2 / known.focal))
     assert f"fovy_deg {fovy:.2f}, pitch_deg {math.degrees(known.pitch):.2f}." in prompt

@@ -9,6 +9,7 @@ from PIL import Image
 
 import neoworld_mjx as nw
 from neoworld_mjx.errors import EvidenceError
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence
 from neoworld_mjx.evidence.known_objects import KnownObjects, KnownSize
 from neoworld_mjx.export import urdf_text
@@ -79,7 +80,8 @@ def test_wrong_files_give_one_message(assets, text, message):
 
 def test_the_model_is_told_the_names(photo):
     picture = load_photo(photo)
-    plain, told = parse_request(picture), parse_request(picture, names=("mug", "lamp"))
+    plain = parse_request(picture)
+    told = parse_request(picture, Evidence(objects=KnownObjects(keep=("mug", "lamp"))))
     assert told.prompt.startswith(plain.prompt) and "objects: mug, lamp." in told.prompt
 
 

@@ -205,7 +205,7 @@ def test_the_built_object_is_rendered_in_the_frame_of_its_crop():
     corners, _ = camera.project(obj.box3d.corners())
     (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
     window = (float(x0) - 40, float(y0) - 20, float(x1) + 40, float(y1) + 20)
-    crop = Picture.of("crop", np.full((round(window[3] - window[1]), 300, 3), 70, np.uint8))
+    crop = Picture("crop", np.full((round(window[3] - window[1]), 300, 3), 70, np.uint8))
     (picture,) = views.compare(crop, spec, obj, camera, window)
     assert picture.label == "compared"
     image = picture.rgb.astype(int)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions
-from neoworld_mjx.measure import passes, scene_measure
+from neoworld_mjx.measure import measured, passes
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.search import finishing
@@ -78,7 +78,7 @@ def test_a_candidate_of_a_held_scene_is_finished_with_every_object_free(initial)
     cube = bounds(done.scene.object("cube").spec)
     assert np.subtract(*cube[::-1]) == pytest.approx(np.full(3, 0.016))
     # As a scene that is compiled at its own sizes.
-    again = scene_measure(done.scene, duration=OPTIONS.check_duration_s)
+    again = measured(done.scene, OPTIONS)
     assert again.max_depth_m == pytest.approx(done.measure.max_depth_m, abs=1e-9)
     assert again.max_drift_m == pytest.approx(done.measure.max_drift_m, abs=1e-7)
     assert done.measure.movable == 5

@@ -10,7 +10,7 @@ import pytest
 
 from neoworld_mjx.config import CEMOptions, RefineOptions, RolloutOptions, SettleOptions
 from neoworld_mjx.errors import ConfigError
-from neoworld_mjx.measure import scene_measure
+from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
@@ -85,7 +85,7 @@ def test_an_object_that_topples_is_moved_onto_its_support(engine):
     assert result.winner[0] >= 0
     assert set(result.kept) == {"low", "base", "top"}
     # The stored scene measures the same when it is compiled at its own sizes, but for rounding.
-    again = scene_measure(result.scene, duration=0.5)
+    again = measured(result.scene, RefineOptions(check_duration_s=0.5))
     for name in ("max_depth_m", "settled_depth_m", "max_drift_m", "max_tilt_deg"):
         assert getattr(again, name) == pytest.approx(getattr(result.measure, name), abs=1e-9)
     assert max(result.measure.displacement.values()) <= 1.0
@@ -96,7 +96,7 @@ def test_an_object_that_topples_is_moved_onto_its_support(engine):
 
 def test_overlapping_objects_come_apart_without_a_search():
     scene = clashing()
-    assert scene_measure(scene, duration=0.1).max_depth_m > 0.005
+    assert measured(scene, RefineOptions(check_duration_s=0.1)).max_depth_m > 0.005
     result = refine(scene, options(), engine="native")
     assert result.passed and result.rollouts == 0 and result.winner == (-1, -1)
     assert result.measure.max_depth_m < 1e-3

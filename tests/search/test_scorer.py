@@ -33,7 +33,7 @@ from tests.support.scenes import compile_scene
 
 POP = 12
 GEOMETRIC = np.linspace(0.4, 0.8, POP).astype(np.float32)
-PHOTO = Picture.of("photo", np.random.default_rng(9).integers(0, 255, (60, 90, 3), dtype=np.uint8))
+PHOTO = Picture("photo", np.random.default_rng(9).integers(0, 255, (60, 90, 3), dtype=np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_the_request_has_the_criteria_of_the_paper_and_the_photograph_first():
     assert "Do not judge: - whether the objects cover the same pixels" in text
     assert all(f"- `{name}`:" in text for name in CRITERIA)
     scene = scenes.furnished()
-    request = score_request(PHOTO, Picture.of("candidate", np.zeros((9, 9, 3), np.uint8)), scene)
+    request = score_request(PHOTO, Picture("candidate", np.zeros((9, 9, 3), np.uint8)), scene)
     assert [p.label for p in request.pictures] == ["photo", "candidate"]
     assert request.role == "critic" and listing(scene) in request.prompt
     assert "- block: in cabinet (drawer)" in listing(scene)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import shapely
 
 from neoworld_mjx.spec import Lathe
 from neoworld_mjx.spec.convex import planes
-from neoworld_mjx.spec.triangles import edges_distance, inside_edges
 
 ANGLE = np.linspace(0, np.pi / 2, 17)
 BOWL = Lathe(
@@ -24,9 +24,9 @@ def farthest(shape: Lathe) -> float:
         points.append(random.dirichlet(np.full(len(corners), 0.2), 500) @ corners)
     x, y, z = np.vstack(points).T
     section, flat = shape.section(), np.column_stack([np.hypot(x, y), z])
-    inside = inside_edges(flat, section, np.roll(section, -1, axis=0))
+    inside = shapely.contains_xy(shapely.Polygon(section), flat)
     # The edge along the axis closes the section but is not part of the surface.
-    distance = edges_distance(flat, section[:-1], section[1:])
+    distance = shapely.distance(shapely.points(flat), shapely.LineString(section))
     return float(np.where(inside, -distance, distance).max())
 
 

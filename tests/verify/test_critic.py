@@ -86,7 +86,7 @@ def test_a_borderline_object_is_shown_and_not_edited():
     script = ScriptedModel(FOUND)
     result = verify_and_repair(only_just(), models=Panel(script))
     assert [request.role for request in script.requests] == ["critic"]
-    assert result.seen == ("door: swings in",)
+    assert result.seen == ["door: swings in"]
     assert result.verdict.passed
     assert result.patch.empty
     script = ScriptedModel()
@@ -112,14 +112,14 @@ def test_critic_always_shows_the_standard_scenarios_of_valid_objects():
 def test_a_missing_response_is_an_error_only_with_critic_always():
     lacking = lambda: Panel(ScriptedModel(MissingResponseError("no answer for simulation")))
     result = verify_and_repair(only_just(), models=lacking())
-    assert result.seen == () and "the tape does not hold the answer" in result.tried[-1]
+    assert result.seen == [] and "the tape does not hold the answer" in result.tried[-1]
     with pytest.raises(MissingResponseError):
         verify_and_repair(only_just(), VerifyOptions(critic="always"), models=lacking())
 
 
 def test_an_edit_that_helps_is_accepted():
     repaired, critiques, _ = edited_by(FOUND, ProposedEdit(patch=MENDS))
-    assert repaired.after.passed
+    assert repaired.verdict.passed
     assert repaired.patch == MENDS
     assert [seen.verdict for seen in critiques] == ["edit"]
 
@@ -133,7 +133,7 @@ def test_direct_repairs_come_before_models():
     script = ScriptedModel(MotionCritique(findings=FOUND.findings, verdict="reprogram"))
     result = verify_and_repair(flipped, models=Panel(script))
     assert not result.verdict.passed
-    assert result.seen == ("door: swings in",)
+    assert result.seen == ["door: swings in"]
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_the_verdict_reprogram_leads_to_a_new_program(rewritten):
     result = verify_and_repair(flipped, models=Panel(ScriptedModel(verdict)), source=SOURCE)
     assert result.verdict.passed and not result.before.passed
     assert result.program.text == "# another program"
-    assert result.applied(flipped) == objects.cupboard()
+    assert result.spec == objects.cupboard()
     assert received[0][0] == "hinge: opens inwards -> turn it over"
     assert received[0][1].startswith("simulated by itself: ")
 

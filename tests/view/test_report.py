@@ -11,7 +11,7 @@ from PIL import Image
 from neoworld_mjx.checks.verdict import Verdict
 from neoworld_mjx.config import Config, RefineOptions, load_config
 from neoworld_mjx.errors import RunError
-from neoworld_mjx.measure import scene_checks, scene_measure
+from neoworld_mjx.measure import measured, scene_checks
 from neoworld_mjx.physics.colliders import snap_exactly
 from neoworld_mjx.run_folder import RunFolder, read_run, verdict_line
 from neoworld_mjx.view.report.run_report import write_report
@@ -47,7 +47,7 @@ def _history(path, iterations=5, population=16):
 
 def _scene_checks(**changes):
     """The checks of a stable scene, with other measures."""
-    measure = scene_measure(snap_exactly(scenes.blocks()), duration=0.1)
+    measure = measured(snap_exactly(scenes.blocks()), RefineOptions(check_duration_s=0.1))
     checks = scene_checks(measure.model_copy(update=changes), RefineOptions())
     return [check.to_json() for check in checks]
 

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from neoworld_mjx.errors import SpecError
-from neoworld_mjx.export.load_mesh import load_mesh
+from neoworld_mjx.export.load_mesh import joined, load_surfaces
 from neoworld_mjx.io import file_bounds, open_image, read_object
 from neoworld_mjx.io.files import MIB, read_bytes
 
@@ -261,7 +261,7 @@ def _visible(info: Any, index: int) -> float:
 
 @lru_cache(maxsize=256)
 def _model(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray, float]:
-    vertices, faces = load_mesh(folder / f"obj_{number:06d}.ply")
+    vertices, faces = joined(load_surfaces(folder / f"obj_{number:06d}.ply", []))
     vertices = 1e-3 * vertices
     return vertices, faces, diameter_of(vertices)
 

@@ -145,7 +145,7 @@ def plan_request(
         f"The instruction: {task.instruction}",
     ]
     system = package_text(__package__, "planner").removesuffix("\n")
-    pictures = [Picture.of("scene", picture)]
+    pictures = [Picture("scene", picture)]
     prompt = "\n\n".join(parts)
     return Request("reasoner", f"plan:{task.name}", system, prompt, PlannedTask, pictures)
 

@@ -1,17 +1,20 @@
-"""Generation of docs/options.md and docs/differences-from-the-paper.md."""
+"""Generate docs/options.md and docs/differences-from-the-paper.md from the declared options.
 
+Run `python -m tests.option_pages --write`.
+"""
+
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
 
-from ..options import Option, Options, list_options
-from .run_config import Config
+from neoworld_mjx.config import Config, Option, Options, list_options
 
 _OPTIONS_HEAD = """\
 # Options
 
-This page lists all options with their defaults. `python -m neoworld_mjx.config --write` generates
+This page lists all options with their defaults. `python -m tests.option_pages --write` generates
 it from the declarations in `neoworld_mjx/config/`. Set options in a YAML file (`--config`), which
 needs only the values that differ, or individually (`--set refine.cem.population=64`).
 
@@ -25,7 +28,7 @@ _DIFFERENCES_HEAD = """\
 
 The table lists every option whose default differs from the paper, with the reason.
 `configs/paper.yaml` sets all of these options to the paper's values, and a test compares
-that file with this list. `python -m neoworld_mjx.config --write` generates this page from the
+that file with this list. `python -m tests.option_pages --write` generates this page from the
 declarations in `neoworld_mjx/config/`.
 
 Three differences have no option:
@@ -94,3 +97,9 @@ def _row(option: Option) -> str:
 
 def _summary(group: Options) -> str:
     return (type(group).__doc__ or "").split("\n\n")[0].replace("\n    ", " ")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] != ["--write"]:
+        sys.exit("usage: python -m tests.option_pages --write")
+    write_pages(Path(__file__).parents[1])
