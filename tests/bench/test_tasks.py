@@ -226,6 +226,9 @@ def planned(tape, method="truth"):
 
 def test_a_models_plan_is_executed_and_its_failure_refines_the_layout(monkeypatch):
     seen = photographed_task(TASK.scene)
+    monkeypatch.setattr(model_plans, "photographed_task", lambda scene: seen)
+    # Nobody looks at the pictures, whose shadows take most of the time.
+    monkeypatch.setattr(model_plans, "render", partial(model_plans.render, shadows=False))
     request = plan_request(TASK, scene_of_method(TASK, seen, "truth", 0, EXACT), seen)
     assert TASK.instruction in request.prompt and len(request.pictures) == 1
     assert "- upper (wooden block, carried by table)" in request.prompt

@@ -12,6 +12,7 @@ import re
 import shutil
 import sys
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,8 @@ from neoworld_mjx.commands.mcp_command import MAX_PICTURES_BYTES, McpCommand, bo
 from neoworld_mjx.errors import ConfigError, RunError, SpecError
 from neoworld_mjx.mllm import Picture, Tape, bundled_tapes
 from neoworld_mjx.names import STEPS
+from neoworld_mjx.program import views
+from neoworld_mjx.render import render
 from neoworld_mjx.spec import SceneObject, SceneSpec, world_poses
 from tests.conftest import QUICK
 from tests.support import scenes
@@ -137,6 +140,8 @@ def built(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mcp_command, "PROGRESS_S", 0.1)  # Shorter than the steps of this scene.
+        # Nobody looks at the pictures, whose shadows take most of the time.
+        patch.setattr(views, "render", partial(render, supersample=1, shadows=False))
         asyncio.run(build())
     return folder, seen
 
@@ -542,8 +547,8 @@ def test_resources_hold_the_guide_the_skill_and_the_run(built, tmp_path):
     asyncio.run(use())
 
 
-def test_a_run_that_is_cut_off_continues_over_stdio(tmp_path):
-    """Two processes of the server; the first one ends while requests wait."""
+def test_a_run_that_is_cut_off_over_stdio_continues(tmp_path):
+    """The first server is a process of its own, which ends while requests wait."""
     server = StdioServerParameters(
         command=sys.executable,
         args=["-m", "neoworld_mjx.cli", "mcp", "--folder", str(tmp_path)],
@@ -561,8 +566,7 @@ def test_a_run_that_is_cut_off_continues_over_stdio(tmp_path):
             return name
 
     async def second():
-        async with Client(server) as client:
-            coffee = Agent(client, tmp_path)
+        async with agent(tmp_path) as coffee:
             return (await coffee.next())[1]
 
     name = asyncio.run(first())

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import neoworld_mjx as nw
+from neoworld_mjx.commands.policy_commands import TrainCommand
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
@@ -82,9 +83,11 @@ def test_the_optimization_learns_to_move_a_point():
     assert reports[-1]["success"] > 0.9 > reports[0]["success"]
 
 
-def test_worlds_that_diverge_leave_the_learner_finite():
-    learner, reports = optimized(Line(diverges=True), 10, SMALL)
+def test_worlds_that_diverge_leave_the_learner_finite_and_minibatches_need_not_divide_them():
+    options = dataclasses.replace(SMALL, worlds=3, unroll=5, minibatches=4)
+    learner, reports = optimized(Line(diverges=True), 10, options)
     assert sum(r["diverged"] for r in reports) > 0
+    assert all(np.isfinite(r["value_loss"]) for r in reports)
     leaves = jax.tree.leaves((learner.networks, learner.normalizer))
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in leaves)
 
@@ -172,12 +175,6 @@ def test_settings_are_proposed_for_a_task(scene):
         propose_setting(scene, TASK, mount=mount)
     with pytest.raises(SpecError, match=r"delay_steps: .*100, got 101"):
         propose_setting(scene, TASK, delay_steps=101)
-
-
-def test_minibatches_need_not_divide_the_worlds():
-    options = dataclasses.replace(SMALL, worlds=3, unroll=5, minibatches=4)
-    _, reports = optimized(Line(), 1, options)
-    assert np.isfinite(reports[0]["value_loss"])
 
 
 def test_a_flying_gripper_moves_by_changes_and_closes(scene):
@@ -346,26 +343,21 @@ def test_a_policy_of_another_scene_is_refused(scene, trained, tmp_path):
         evaluate(wide, scene, samples=0)
 
 
-def test_commands_train_and_evaluate(scene, tmp_path, neoworld):
-    file = tmp_path / "scene.json"
+def test_commands_train_and_evaluate(scene, trained, tmp_path, neoworld):
+    file, out = tmp_path / "scene.json", tmp_path / "other"
     file.write_text(scene.to_json())
     small = ["--steps", 2, "--worlds", 8, "--samples", 0, "--engine", "native", "--horizon", 5]
+    small += ["--without", "block", "--colliders", "coarse", "--delay-steps", 1, "--out", out]
     ended = neoworld("train", file, "--task", TASK, *small, "--json")
     assert ended.returncode == 0 and json.loads(ended.stdout)["steps"] == 8 * 32
-    policy = tmp_path / "policy" / "policy.npz"
-    whole = read_policy(policy).observation_size
-    ended = neoworld("evaluate", policy, file, "--samples", 0, "--json")
+    policy = read_policy(out / "policy.npz")
+    assert policy.about.setting.delay_steps == 1
+    assert policy.about.setting.without == ("block",)
+    assert policy.observation_size == trained[2].observation_size
+    ended = neoworld("evaluate", out / "policy.npz", file, "--samples", 0, "--json")
     assert ended.returncode == 0 and json.loads(ended.stdout)["n"] == 1
-    ended = neoworld("train", file, "--task", TASK)
+    ended = neoworld("train", file, "--task", TASK, "--out", out)
     assert ended.returncode == 2 and "has a policy: resume it (--resume)" in ended.stderr
-    other = [*small, "--without", "block", "--colliders", "coarse", "--out", tmp_path / "other"]
-    other += ["--delay-steps", 1]
-    ended = neoworld("train", file, "--task", TASK, *other)
-    assert ended.returncode == 0
-    alone = read_policy(tmp_path / "other" / "policy.npz")
-    assert alone.about.setting.delay_steps == 1
-    assert alone.about.setting.without == ("block",) and alone.observation_size == whole
-    assert len(evaluate(alone, scene, samples=0).success) == 1
 
 
 def test_training_with_a_robot_says_where_its_base_stands(scene, tmp_path, neoworld):
@@ -378,8 +370,7 @@ def test_training_with_a_robot_says_where_its_base_stands(scene, tmp_path, neowo
     command = ("train", folder, "--robot", arm, *mount, "--task", "reach block", *small)
     ended = neoworld(*command, "--json")
     assert ended.returncode == 0, ended.stderr
-    assert json.loads(ended.stdout)["mount"] == [-0.6, 0.1, 0.0, 0.3]
-    ended = neoworld(*command, "--out", tmp_path / "again")
-    assert ended.stdout.startswith(
-        "the base of the robot stands at -0.60 0.10 0.00, turned by 0.30"
-    )
+    result = json.loads(ended.stdout)
+    assert result["mount"] == [-0.6, 0.1, 0.0, 0.3]
+    said = TrainCommand(target=folder, task="reach block").lines(result)
+    assert said[0] == "the base of the robot stands at -0.60 0.10 0.00, turned by 0.30 rad"

@@ -1,5 +1,6 @@
 """Vertical edges as evidence about the camera."""
 
+import functools
 import math
 
 import numpy as np
@@ -87,23 +88,35 @@ def test_alignment_with_edges_corrects_the_roll(five, photo):
     assert abs(result.scene.camera.roll) < 0.6 * abs(plain.scene.camera.roll)
 
 
+@pytest.fixture(scope="module")
+def aligned(five, photo):
+    """A function of the degrees that the field of view is off by: the scene and its result."""
+
+    @functools.cache
+    def result(fovy_deg):
+        wrong = with_camera(five, fovy=math.radians(fovy_deg))
+        return wrong, align(wrong, photo)
+
+    return result
+
+
 @pytest.mark.parametrize("fovy_deg", [12.0, pytest.param(-10.0, marks=pytest.mark.slow)])
-def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, fovy_deg):
-    wrong = with_camera(five, fovy=math.radians(fovy_deg))
-    plain, result = (align(wrong, photo, AlignOptions(edges=edges)) for edges in (False, True))
+def test_alignment_with_edges_corrects_a_misjudged_field_of_view(five, photo, aligned, fovy_deg):
+    wrong, result = aligned(fovy_deg)
+    plain = align(wrong, photo, AlignOptions(edges=False))
     off = lambda alignment: abs(math.degrees(alignment.scene.camera.fovy - five.camera.fovy))
     assert off(result) < 0.25 * off(plain)
 
 
-def test_edges_that_contradict_a_measured_camera_are_not_used(five, photo):
+def test_edges_that_contradict_a_measured_camera_are_not_used(five, photo, aligned):
     """The same edges correct a camera that a response only estimated."""
-    wrong = with_camera(five, fovy=math.radians(12.0))
+    wrong, result = aligned(12.0)
     measured = align(wrong, photo, measured=("pitch", "roll", "fovy"))
     assert measured.misleading_edges
     assert ("edges that look vertical are not used", "the camera contradicts them") in [
         *measured.notes()
     ]
-    assert not align(wrong, photo).misleading_edges
+    assert not result.misleading_edges
     assert not align(five, photo, measured=("pitch", "roll", "fovy")).misleading_edges
 
 

@@ -1,6 +1,7 @@
 """Further photographs: their cameras by boxes or known poses, their rows, and what they add."""
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -50,6 +51,13 @@ def aside(five):
 
 
 @pytest.fixture(scope="module")
+def located(five):
+    """A function of the degrees that a camera is aside: the view that its boxes give, kept."""
+    found = lambda degrees: locate(five, five.camera, taken_by(five, camera_aside(degrees))).view
+    return functools.cache(found)
+
+
+@pytest.fixture(scope="module")
 def wrong(five):
     moves = {"box": (20, 10, 4, 5), "can": (-15, 10, 0, -4), "tower": (25, -10, -4, 6)}
     return desk.misjudged(desk.boxed(desk.displaced(five, **moves)), 5.0)
@@ -62,10 +70,9 @@ def off(found, true):
 
 
 @pytest.mark.parametrize("degrees", [40, -100, 0])
-def test_boxes_give_the_pose_of_a_camera(five, degrees):
-    camera = camera_aside(degrees)
-    view = locate(five, five.camera, taken_by(five, camera)).view
-    distance, angle = off(relative(five.camera, view.camera), relative(five.camera, camera))
+def test_boxes_give_the_pose_of_a_camera(five, located, degrees):
+    camera, found = camera_aside(degrees), located(degrees).camera
+    distance, angle = off(relative(five.camera, found), relative(five.camera, camera))
     assert distance < 0.03 and angle < 1.5
 
 
@@ -85,7 +92,7 @@ def test_a_known_pose_is_kept_and_an_unknown_unit_estimated(five):
     assert along @ precision @ along < 0.01 * (across @ precision @ across)
 
 
-def test_cameras_without_pose_are_refused_with_the_reason(five, aside):
+def test_cameras_without_pose_are_refused_with_the_reason(five, photo, aside):
     few = dataclasses.replace(aside, boxes={"can": aside.boxes["can"]}, source="few.jpg")
     names = list(aside.boxes)
     boxes = dict(zip(names, [aside.boxes[n] for n in reversed(names)], strict=True))
@@ -94,12 +101,12 @@ def test_cameras_without_pose_are_refused_with_the_reason(five, aside):
     assert len(views) == 1 and views[0].photo is aside
     assert "it shows 1 of the objects; its pose needs 3" in refused["few.jpg"]
     assert "of the same scene, with the same names?" in refused["mixed.jpg"]
-    outcome = align(five, desk.photograph(five), evidence=Evidence(further=(few,))).views
+    outcome = align(five, photo, evidence=Evidence(further=(few,))).views
     assert outcome["few.jpg"].camera is None and outcome["few.jpg"].reason
 
 
-def test_derivatives_with_respect_to_the_other_camera(five, aside):
-    view = locate(five, five.camera, aside).view
+def test_derivatives_with_respect_to_the_other_camera(five, located, aside):
+    view = located(40)
     unknowns = Unknowns.of(five, five.camera, views=(view,))
     assert unknowns.size == desk.unknowns_of(five).size + 6
     x = np.zeros(unknowns.size)
@@ -117,8 +124,8 @@ def test_derivatives_with_respect_to_the_other_camera(five, aside):
         assert np.allclose(change, rows.jacobian[:, u], atol=0.02 * abs(change).max() + 1.0)
 
 
-def test_focal_length_moves_both_cameras_back(five, aside):
-    view = locate(five, five.camera, aside).view
+def test_focal_length_moves_both_cameras_back(five, located):
+    view = located(40)
     unknowns = Unknowns.of(five, five.camera, views=(view,))
     x = np.zeros(unknowns.size)
     x[2] = 0.2
@@ -131,8 +138,7 @@ def test_focal_length_moves_both_cameras_back(five, aside):
     assert same.focal == view.camera.focal
 
 
-def test_another_photograph_lowers_the_errors(five, wrong, aside):
-    photo = desk.photograph(five)
+def test_another_photograph_lowers_the_errors(five, photo, wrong, aside):
     alone = align(wrong, photo)
     both = align(wrong, photo, evidence=Evidence(further=(aside,)))
     errors = [
@@ -150,16 +156,16 @@ def test_another_photograph_lowers_the_errors(five, wrong, aside):
     assert across[1] < 0.9 * across[0]
 
 
-def test_a_known_pose_gives_the_scale(five, wrong):
+def test_a_known_pose_gives_the_scale(five, photo, wrong):
     camera = camera_aside(40)
     to_first = relative(five.camera, camera)
     known = taken_by(five, camera, to_first=to_first)
-    result = align(wrong, desk.photograph(five), evidence=Evidence(further=(known,)))
+    result = align(wrong, photo, evidence=Evidence(further=(known,)))
     assert abs(result.scene.camera.fovy - five.camera.fovy) < math.radians(1.5)
     errors = desk.distances(result.scene, five)
     assert np.mean(list(errors.values())) < 15
 
 
-def test_further_photographs_do_not_count_in_the_final_alignment(five, aside):
-    result = align_again(five, desk.photograph(five), ["can"], evidence=Evidence(further=(aside,)))
+def test_further_photographs_do_not_count_in_the_final_alignment(five, photo, aside):
+    result = align_again(five, photo, ["can"], evidence=Evidence(further=(aside,)))
     assert not result.views

@@ -46,11 +46,6 @@ def parsed(five):
     return SceneTree(camera=five.camera, nodes=tuple(nodes))
 
 
-@pytest.fixture(scope="module")
-def photo(five):
-    return desk.photograph(five)
-
-
 def placed(five, parsed, photo, known):
     objects = {item.name: item.spec for item in five.objects} | known.assets
     return place(parsed, objects, Evidence(photo, objects=known)).scene

@@ -116,12 +116,3 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
     turned = Layout(zero.xy, zero.yaw.at[1, 1].set(np.pi / 2), zero.log_scale)
     low, high = np.asarray(snapped(a, turned))[:, 1]
     assert high - low == pytest.approx(0.02, abs=1e-5)
-
-
-def test_an_object_on_a_scaled_support_stands_on_its_higher_surface():
-    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    a = arrange(scenes.on_table((block, (0.1, 0.0), 0.0, {})))
-    zero = Layout.zero(2, 2)
-    double = zero.log_scale.at[1, 0].set(np.log(2.0))
-    once, twice = np.asarray(jax.jit(heights)(a, Layout(zero.xy, zero.yaw, double)))[:, 1]
-    assert twice - once == pytest.approx(0.04, abs=1e-5)

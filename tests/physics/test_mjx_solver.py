@@ -80,7 +80,10 @@ def test_a_scenes_elliptic_cones_become_pyramids_of_equal_impedances():
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and model.opt.impratio == 10
 
 
-def test_importing_without_warp_prints_nothing():
-    code = "import sys; sys.modules['warp'] = None; import neoworld_mjx.physics.mjx_engine"
+def test_environments_import_no_mjx_and_mjx_without_warp_prints_nothing():
+    code = (
+        "import sys, neoworld_mjx as nw; sys.modules['warp'] = None; nw.gym_env, nw.mjx_env\n"
+        "print('mujoco.mjx' in sys.modules); import neoworld_mjx.physics.mjx_engine"
+    )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout == "" and "warp" not in ran.stderr
+    assert ran.stdout == "False\n" and "warp" not in ran.stderr

@@ -124,12 +124,13 @@ HOSTILE: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_every_hostile_program_ends_in_one_clear_message(name: str):
     text, message = HOSTILE[name]
-    built = build(text, ProgramOptions(type_check=False))
+    options = ProgramOptions(type_check=False)
+    built = build(text, options)
     assert not built.ok
     assert len(built.printed) < 30_000
     messages = [signal.phrase() for signal in built.signals if signal.severity == "error"]
     assert re.search(message, messages[0]), messages[0]
-    assert build(FINE).ok
+    assert build(FINE, options).ok
 
 
 def test_an_endless_program_ends_with_its_type_check():

@@ -142,9 +142,9 @@ def test_a_scene_that_passes_needs_no_iteration(scene):
 
 
 def test_the_same_seed_gives_the_same_bits():
-    first = refine(toppling(), options(16, 2), seed=5)
-    second = refine(toppling(), options(16, 2), seed=5)
-    other = refine(toppling(), options(16, 2), seed=6)
+    first = refine(toppling(), options(32, 2), seed=5)
+    second = refine(toppling(), options(32, 2), seed=5)
+    other = refine(toppling(), options(32, 2), seed=6)
     assert first.scene.to_json() == second.scene.to_json()
     for name, values in first.history.items():
         same = np.array_equal(values, second.history[name], equal_nan=values.dtype.kind == "f")
@@ -174,7 +174,7 @@ def test_failure_of_every_candidate_is_reported():
 
 
 def test_an_object_that_rests_nowhere_is_searched_ever_farther_away():
-    result = refine(unreachable(), options(64, 4), engine="native")
+    result = refine(unreachable(), options(32, 4), engine="native")
     assert not result.passed and result.iterations == 4
     k = result.history["object_names"].tolist().index("picture")
     spread = np.nanstd(result.history["xy"][:, :, k], axis=(1, 2))
