@@ -54,7 +54,7 @@ class SceneContacts:
                 for normals in draws.normals
             ]
         )
-        kept = Draws.of(moved[:, :count], self.factor, draws.variation)
+        kept = Draws.of(moved[:, :count], draws.spread, self.factor, draws.variation)
         xy = np.array(kept.layouts.xy)
         xy[:, self.walls] = WALL_M * moved[:, count:].reshape(len(moved), -1, 2)
         return kept._replace(layouts=Layout(xy, kept.layouts.yaw, kept.layouts.log_scale))

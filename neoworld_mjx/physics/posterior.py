@@ -20,6 +20,12 @@ RANK = 1e-3
 stored with four decimals."""
 
 
+FREEDOM, SPREAD, WIDEST = 3.0, 0.70, 3.0
+"""Degrees of freedom and scale of Student's t distribution of the draws, and greatest factor of
+their deviations. Errors of the estimate have heavy tails by scene: most scenes are better than
+their deviations say, and some are far worse. The scale keeps the 90 % intervals."""
+
+
 class PhysicalPrior(NamedTuple):
     """Standard deviations of quantities that no picture shows, or that are not estimated.
 
@@ -50,20 +56,23 @@ class Draws(NamedTuple):
     """Changes of the camera's pitch and roll [rad], and of the logarithms of its focal length and
     height."""
     normals: Float[np.ndarray, "pop normal"]
-    """Standard normal numbers, from which `pose_factor` makes layouts and camera."""
+    """Normal numbers of deviation `spread`, from which `pose_factor` makes layouts and camera."""
+    spread: Float[np.ndarray, " pop"]
+    """Factor of all deviations of each draw."""
 
     @classmethod
     def of(
         cls,
         normals: Float[np.ndarray, "pop normal"],
+        spread: Float[np.ndarray, " pop"],
         factor: Float[np.ndarray, "value normal"],
         variation: Variation,
     ) -> "Draws":
-        """Return draws, given standard normal numbers and the matrix of `pose_factor`."""
+        """Return draws, given normal numbers and the matrix of `pose_factor`."""
         values = normals @ factor.T
         each = values[:, EACH:].reshape(len(values), -1, EACH)
         layouts = Layout(each[..., :2], each[..., 2], each[..., 3])
-        return cls(layouts, variation, values[:, :EACH], normals)
+        return cls(layouts, variation, values[:, :EACH], normals, spread)
 
 
 def pose_factor(scene: SceneSpec) -> Float[np.ndarray, "value normal"]:
@@ -101,11 +110,24 @@ def draw(
     rng: np.random.Generator,
     n: int,
     prior: PhysicalPrior | None = None,
+    *,
+    spread: Float[np.ndarray, " n"] | None = None,
 ) -> Draws:
-    """Draw from the estimate of a scene, and from the priors."""
+    """Draw from the estimate of a scene, and from the priors.
+
+    Args:
+        scene: the scene.
+        rng: random numbers.
+        n: number of draws.
+        prior: priors of what no picture shows.
+        spread: factor of the deviations of poses, sizes and camera of each draw; if None, draws
+            have Student's t distribution.
+    """
     spec, static, p = scene.spec, scene.static, prior or PhysicalPrior()
     count, joints = len(static.names), len(static.joints)
-    normals = rng.standard_normal((n, EACH * (1 + count)))
+    if spread is None:
+        spread = np.minimum(SPREAD * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, n)), WIDEST)
+    normals = spread[:, None] * rng.standard_normal((n, EACH * (1 + count)))
     factors = lambda deviation, size: np.exp(deviation * rng.standard_normal((n, size)))
     variation = Variation(
         factors(p.density, count),
@@ -114,7 +136,7 @@ def draw(
         factors(p.joint_damping, joints),
         _openings(scene, p.opening * rng.standard_normal((n, joints))),
     )
-    return Draws.of(normals, pose_factor(spec), variation)
+    return Draws.of(normals, spread, pose_factor(spec), variation)
 
 
 def _openings(
@@ -152,7 +174,8 @@ def draw_again(
         rng: random numbers.
         prior: as for `draw`.
     """
-    fresh, factor = draw(scene, rng, len(objects), prior), pose_factor(scene.spec)
+    fresh = draw(scene, rng, len(objects), prior, spread=draws.spread)
+    factor = pose_factor(scene.spec)
     normals = fresh.normals
     length = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = factor / np.where(length > 0, length, 1.0)
@@ -170,4 +193,4 @@ def draw_again(
         np.where(joints, new.joint_damping, old.joint_damping),
         np.where(joints, new.opening, old.opening),
     )
-    return Draws.of(normals, factor, variation)
+    return Draws.of(normals, draws.spread, factor, variation)
