@@ -40,7 +40,9 @@ class PlacedDraws(Candidates):
         kept = contacts.kept(drawn)
         layouts = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), kept.layouts)
         poses = replace(contacts.scene.place_exactly(layouts), variation=drawn.variation)
-        _, excess = box_shifts(contacts, poses, kept.camera, max_px)
+        excess = np.full(poses.scale.shape, -math.inf)
+        if math.isfinite(max_px):
+            _, excess = box_shifts(contacts, poses, kept.camera, max_px)
         return cls(drawn, layouts, poses, kept.camera, excess)
 
     def replaced(self, rows: Int[np.ndarray, " m"], others: "PlacedDraws") -> "PlacedDraws":

@@ -41,6 +41,8 @@ most 2 mm of drift are missing in the 2 s of the final check."""
 CompiledT = TypeVar("CompiledT", bound=CompiledScene)
 CHUNK = 64
 """Number of candidates that fall at once, whose states after every step are kept."""
+STOPPING_CHUNK = 1024
+"""The same with `stop_early`, whose states are kept every 20 ms."""
 Depths = dict[tuple[str, str], float]
 """Penetration depth of each pair of objects that penetrate each other [m]."""
 
@@ -112,25 +114,22 @@ def rest(
     depths: list[Depths] = [{} for _ in range(pop)]
     end_depths = list(depths)
     rows = np.flatnonzero(~unplaceable(end))
-    chunk_size = len(rows) if stop_early else CHUNK
-    for first in range(0, len(rows), max(chunk_size, 1)):
-        chunk = rows[first : first + chunk_size]
-        fall = _fall_to_rest if stop_early else _whole_fall
+    fall, size = (_fall_to_rest, STOPPING_CHUNK) if stop_early else (_whole_fall, CHUNK)
+    for first in range(0, len(rows), size):
+        chunk = rows[first : first + size]
         (pos, quat, shift), status[chunk], ends = fall(scene, end[chunk], free_s, engine)
         away = pos - end.pos[chunk, None]
         drift[chunk] = np.linalg.norm(away, axis=-1).max(axis=1)
         tilt[chunk] = angle_between(end.quat[chunk, None], quat).max(axis=1)
         joint_motion[chunk] = shift.max(axis=1)
         for k, at_start, at_end in zip(chunk, _depths(scene, end[chunk]), ends, strict=True):
-            depths[k] = at_start
-            if status[k] == int(RolloutStatus.OK):
-                end_depths[k] = at_end
+            depths[k], end_depths[k] = at_start, at_end
     return Rested(end, moved, drift, tilt, joint_motion, tuple(depths), tuple(end_depths), status)
 
 
 Fall = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], Int[np.ndarray, " pop"], list[Depths]]
 """Positions, rotations and joint shifts of candidates over time; their status; and their depths at
-the end of the fall."""
+the end of the fall, empty if it failed."""
 
 
 def _whole_fall(scene: CompiledScene, start: Poses, free_s: float, _: Engine) -> Fall:
@@ -138,7 +137,8 @@ def _whole_fall(scene: CompiledScene, start: Poses, free_s: float, _: Engine) ->
     batch = open_batch(scene, start)
     steps = max(1, round(free_s / float(scene.static.mjm.opt.timestep)))
     qpos, status = _simulate(batch, steps)
-    return read_states(scene.static, start, qpos), status, _depths(scene, start, qpos[:, -1])
+    ends = _end_depths(scene, start, status, qpos[:, -1])
+    return read_states(scene.static, start, qpos), status, ends
 
 
 def _fall_to_rest(scene: CompiledScene, start: Poses, free_s: float, engine: Engine) -> Fall:
@@ -149,11 +149,8 @@ def _fall_to_rest(scene: CompiledScene, start: Poses, free_s: float, engine: Eng
     stopped = np.isin(rollout.status, (int(RolloutStatus.SETTLED), int(RolloutStatus.DRIFTED)))
     status = np.where(stopped, int(RolloutStatus.OK), rollout.status)
     end = replace(start, pos=rollout.pos[:, -1], quat=rollout.quat[:, -1])
-    finite = ~unplaceable(end)
-    ends: list[Depths] = [{} for _ in finite]
-    for k, depths in zip(np.flatnonzero(finite), _depths(scene, end[finite]), strict=True):
-        ends[k] = depths
-    return (rollout.pos, rollout.quat, rollout.joint_shift), status, ends
+    motion = rollout.pos, rollout.quat, rollout.joint_shift
+    return motion, status, _end_depths(scene, end, status)
 
 
 def _simulate(
@@ -175,6 +172,21 @@ def _simulate(
     status[raised(w.mjWARN_CONTACTFULL, w.mjWARN_CNSTRFULL)] = int(RolloutStatus.TRUNCATED)
     status[refused] = int(RolloutStatus.TRUNCATED)
     return qpos, status
+
+
+def _end_depths(
+    scene: CompiledScene,
+    poses: Poses,
+    status: Int[np.ndarray, " pop"],
+    qpos: Float[np.ndarray, "pop nq"] | None = None,
+) -> list[Depths]:
+    """Return the depths of candidates whose fall did not fail."""
+    rows = np.flatnonzero(status == int(RolloutStatus.OK))
+    ends: list[Depths] = [{} for _ in status]
+    found = _depths(scene, poses[rows], None if qpos is None else qpos[rows])
+    for k, depths in zip(rows, found, strict=True):
+        ends[k] = depths
+    return ends
 
 
 def _depths(
