@@ -112,7 +112,8 @@ class SceneContacts:
     def at_scene(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n normal"]]:
         """Gaps of the scene itself, and their derivatives."""
         start = np.zeros(self.factor.shape[1] + 2 * len(self.walls))
-        return self.linearized(start, self.gaps(start))
+        (now,) = self.placements(start, near=False)
+        return self.linearized(start, now, self.gaps(now))
 
     def placements(self, values: Float[np.ndarray, " v"], *, near: bool) -> list[Placement]:
         """Return the placement of a draw, or those of `Unknowns.neighbors` near it.
@@ -128,17 +129,16 @@ class SceneContacts:
         placed = u.neighbors(x) if near else u.place(x[None])
         return [replace(place, pos=place.pos + moved) for place in placed]
 
-    def gaps(self, values: Float[np.ndarray, " v"]) -> list[Gap]:
-        """Return the gaps of a draw."""
-        (now,) = self.placements(values, near=False)
+    def gaps(self, now: Placement) -> list[Gap]:
+        """Return the gaps in the placement of a draw."""
         found = contacts(self.colliders, self.unknowns, now, REACH_M)
         return [*found, *self.standing.insets(self.unknowns, now)]
 
     def linearized(
-        self, values: Float[np.ndarray, " v"], gaps: list[Gap]
+        self, values: Float[np.ndarray, " v"], now: Placement, gaps: list[Gap]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n v"]]:
-        """Return the gaps of a draw [m], and their derivatives."""
-        u, (now,) = self.unknowns, self.placements(values, near=False)
+        """Return the gaps of a draw [m], and their derivatives; `now` is the draw's placement."""
+        u = self.unknowns
         rows = ContactGaps.of(gaps, u, now, self.placements(values, near=True))
         by_wall = np.zeros((len(gaps), len(self.walls), 2))
         for row, gap in zip(by_wall, gaps, strict=True):
@@ -153,15 +153,16 @@ class SceneContacts:
 
     def nearest(self, drawn: Float[np.ndarray, " v"]) -> Float[np.ndarray, " v"]:
         """Return the nearest draw with contacts, on a path from the scene, which has them."""
-        now, (gap, jacobian) = np.zeros_like(drawn), self.at_scene
+        values, (gap, jacobian) = np.zeros_like(drawn), self.at_scene
         for step in range(STEPS):
             if step:
+                (now,) = self.placements(values, near=False)
                 gaps = self.gaps(now)
                 if min((gap.value for gap in gaps), default=0.0) > -FIT_M:
                     break
-                gap, jacobian = self.linearized(now, gaps)
-            now = drawn + _forced(gap + jacobian @ (drawn - now), jacobian)
-        return now
+                gap, jacobian = self.linearized(values, now, gaps)
+            values = drawn + _forced(gap + jacobian @ (drawn - values), jacobian)
+        return values
 
 
 def _forced(

@@ -30,7 +30,7 @@ class PlacedDraws(Candidates):
     layouts: Layout
     poses: Poses
     camera: Float[np.ndarray, "n 4"]
-    """As in `Draws.camera`."""
+    """Changes of the camera with contacts, in the units of `Draws.camera`."""
     excess_px: Float[np.ndarray, "n object"]
     """Displacement of each object's 2D box beyond the limit, as in `SceneSamples.shift_px`."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
-from ..export.link_frames import MARGIN_M, Frame, handle_at
+from ..export.link_frames import MARGIN_M, handle_at
 from ..spec import SceneObject, bounds, link_poses, world_poses
 from ..spec.pose import (
     Pose,
@@ -81,6 +81,11 @@ _TURNS = tuple(from_yaw(angle) for angle in (0.0, math.pi, math.pi / 2, -math.pi
 """Turns of the tool about its approach."""
 
 
+Hold = tuple[NDArray, float]
+"""Orientation of the tool, and half the length of a grasped handle along its approach [m]; infinite
+for what else the tool works on."""
+
+
 class Reach(NamedTuple):
     """Result of following the motion of a task with a mounted arm."""
 
@@ -102,7 +107,8 @@ class Reach(NamedTuple):
 def reachable(task: Task, robot: Robot | Path | str, mount: Mount) -> Reach:
     """Return how an arm with its base at a mount follows the motion of a task."""
     controlled = controlled_scene(task.scene, robot=robot, mount=mount)
-    return _best_reach(task, controlled, mujoco.MjData(controlled.model), mount)
+    data = mujoco.MjData(controlled.model)
+    return _best_reach(task, controlled, data, mount, _handle_holds(task))
 
 
 def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
@@ -116,8 +122,8 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
     """
     controlled = controlled_scene(task.scene, robot=robot, mount=Mount((0.0, 0.0, 0.0)))
     data = mujoco.MjData(controlled.model)
-    point = _point(task)
-    side, (length, _) = _side(task, point), _length(controlled, data)
+    point, handle = _point(task), _handle_holds(task)
+    side, (length, _) = _side(task, point, handle), _length(controlled, data)
     lowest = _ground(task, np.full(2, 1e3), float(point[2])) or 0.0
     reasons: list[str] = []
     highest = min(max(float(point[2]) - lowest, 0.0) + STAND_M, MAX_STAND_M)
@@ -132,7 +138,7 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
                 continue
             x, y, z = (round(float(v), 3) for v in (*xy, ground + height))
             yaw = math.remainder(away + math.pi, 2 * math.pi)
-            reach = _best_reach(task, controlled, data, Mount((x, y, z), yaw))
+            reach = _best_reach(task, controlled, data, Mount((x, y, z), yaw), handle)
             reasons += [reach.reason] if reach.reason else []
             score = min(reach.margin, ENOUGH) - 0.02 * abs(angle)
             if reach.reaches and (best is None or score > best[0]):
@@ -149,16 +155,23 @@ def propose_mount(task: Task, robot: Robot | Path | str) -> Mount:
 
 
 def _best_reach(
-    task: Task, controlled: ControlledScene, data: mujoco.MjData, mount: Mount
+    task: Task,
+    controlled: ControlledScene,
+    data: mujoco.MjData,
+    mount: Mount,
+    handle: list[Hold] | None,
 ) -> Reach:
-    """Return the best of the ways to hold the object, and to let it go."""
+    """Return the best of the ways to hold the object, and to let it go.
+
+    The ways of a handle are given, since they are the same for all mounts.
+    """
     arm, model = controlled.arm, controlled.model
     assert arm is not None
     _widen(model)
     moved = pose(mount.pos, mount.quat).then(arm.root_pose)
     model.body_pos[arm.root], model.body_quat[arm.root] = moved
     best, best_score = None, (False, False, -np.inf)
-    for quat in _orientations(task, mount.quat):
+    for quat, half in handle or _object_holds(task, mount.quat):
         data.qpos[:] = controlled.initial_qpos
         mujoco.mj_kinematics(controlled.model, data)
         retreat = _retreat(controlled, data, Pose(_point(task), quat))
@@ -168,7 +181,7 @@ def _best_reach(
                 break
             raised = _follow(task, controlled, data, tool_path(task, quat, retreat, drop))
             reach = raised if raised.reaches and not raised.touches else reach
-        score = reach.reaches, _holds(task, quat, retreat), reach.margin
+        score = reach.reaches, FINGER_M + half - retreat > HOLD_M, reach.margin
         if best is None or score > best_score:
             best, best_score = reach, score
     assert best is not None
@@ -203,41 +216,43 @@ def _retreat(controlled: ControlledScene, data: mujoco.MjData, tool: Pose) -> fl
     return float(np.clip(FINGER_M - nearest, 0.0, MAX_RETREAT_M))
 
 
-def _handle(task: Task) -> Frame | None:
-    """Return the handle at the task's point; None if the point is not on a part that moves."""
+def _handle_holds(task: Task) -> list[Hold] | None:
+    """Return the ways to work on the handle at the task's point; None if the point is on none.
+
+    A handle is faced, or grasped from the nearest side of the object, across what fits between the
+    fingers.
+    """
     item, point = task.scene.object(task.point.object), task.point
     if not any(joint.child == point.part for joint in item.spec.joints):
         return None
-    _, handle = handles(task.scene)[f"{item.name}-{point.part}_handle"]
-    return handle_at(item.spec, handle, point.pos)
+    name = f"{item.name}-{point.part}_handle"
+    facing = lambda side: facing_pose(task.scene, name, point.pos, from_side=side).quat
+    if not point.grasp:
+        faced = facing(False)
+        return [(quat_mul(faced, turn), math.inf) for turn in _TURNS]
+    handle = handle_at(item.spec, handles(task.scene)[name][1], point.pos)
+    assert handle.half is not None
+    half = np.array(handle.half) - MARGIN_M
+    back = conjugate(_part_pose(task).quat)
+    along = lambda quat, axis: float(np.abs(rotate(back, rotate(quat, np.eye(3)[axis]))) @ half)
+    holds: list[Hold] = []
+    for quat in (facing(False), facing(True)):
+        across, turned = ([quat_mul(quat, turn) for turn in _TURNS[k : k + 2]] for k in (0, 2))
+        fits = along(turned[0], 1) <= HALF_OPENING_M
+        holds += [(q, along(q, 2)) for q in across + (turned if fits else [])]
+    return holds
 
 
-def _holds(task: Task, quat: NDArray, retreat: float) -> bool:
-    """Return whether the fingers get around the handle, if the task's point is on one."""
-    handle = _handle(task)
-    if handle is None or not task.point.grasp:
-        return True
-    return FINGER_M + _half(task, handle, quat, 2) - retreat > HOLD_M
-
-
-def _half(task: Task, handle: Frame, quat: NDArray, axis: int) -> float:
-    """Return half the length of a handle along an axis of the tool [m]."""
+def _part_pose(task: Task) -> Pose:
+    """Return the pose in the world of the part at the task's point."""
     item = task.scene.object(task.point.object)
     world = world_poses(task.scene)[item.name]
-    along = rotate(
-        conjugate(world.then(link_poses(item.spec, item.joint_state)[handle.part]).quat),
-        rotate(quat, np.eye(3)[axis]),
-    )
-    return float(np.abs(along) @ np.array(handle.half)) - MARGIN_M
+    return world.then(link_poses(item.spec, item.joint_state)[task.point.part])
 
 
 def _point(task: Task) -> NDArray:
     """Return the task's point in the world [m]."""
-    item = task.scene.object(task.point.object)
-    world = world_poses(task.scene)[item.name]
-    return world.then(link_poses(item.spec, item.joint_state)[task.point.part]).apply(
-        np.array(task.point.pos)
-    )
+    return _part_pose(task).apply(np.array(task.point.pos))
 
 
 def tool_path(task: Task, quat: NDArray, retreat: float = 0.0, drop: float = 0.0) -> list[Pose]:
@@ -250,48 +265,32 @@ def tool_path(task: Task, quat: NDArray, retreat: float = 0.0, drop: float = 0.0
         drop: height above the goal from which an object is let go [m].
     """
     item = task.scene.object(task.point.object)
-    world = world_poses(task.scene)[item.name]
-    here = world.then(link_poses(item.spec, item.joint_state)[task.point.part])
     first = Pose(_point(task), quat).then(pose((0.0, 0.0, -retreat)))
     back = pose((0.0, 0.0, -AWAY_M))
-    return [first.then(back), first, *_onward(task, item, world, here, first, drop)]
+    return [first.then(back), first, *_onward(task, item, first, drop)]
 
 
-def _orientations(task: Task, base: NDArray) -> list[NDArray]:
-    """Return the orientations in which the tool may be at the task's point.
+def _object_holds(task: Task, base: NDArray) -> list[Hold]:
+    """Return the ways to take an object: from above, first across its narrower side, or ahead.
 
-    A handle is faced, or grasped from the nearest side of the object, across what fits between the
-    fingers. An object is taken from above, first across its narrower side, or from the side of the
-    base, whose orientation is given.
+    Ahead is the direction of a base with the orientation `base`.
     """
-    item, handle, turns = task.scene.object(task.point.object), _handle(task), _TURNS
-    if handle is not None:
-        facing = lambda side: (
-            facing_pose(
-                task.scene, f"{item.name}-{handle.part}_handle", task.point.pos, from_side=side
-            ).quat
-        )
-        if not task.point.grasp:
-            return [quat_mul(facing(False), turn) for turn in turns]
-        found = [quat_mul(facing(side), turn) for side in (False, True) for turn in turns]
-        fits = lambda quat: _half(task, handle, quat, 1) <= HALF_OPENING_M
-        return [quat for k, quat in enumerate(found) if k % 4 < 2 or fits(quat)]
-    world = world_poses(task.scene)[item.name]
+    item = task.scene.object(task.point.object)
     low, high = bounds(item.spec, item.joint_state)
     across = 0.0 if high[1] - low[1] <= high[0] - low[0] else math.pi / 2
-    x, y, _ = rotate(world.quat, (1.0, 0.0, 0.0))
+    x, y, _ = rotate(world_poses(task.scene)[item.name].quat, (1.0, 0.0, 0.0))
     above = quat_mul(from_yaw(math.atan2(y, x) + across), np.array([0.0, 1.0, 0.0, 0.0]))
     ahead = rotate(base, (1.0, 0.0, 0.0))
     left = np.cross((0.0, 0.0, 1.0), ahead)
     sides = [np.column_stack([np.cross(y, ahead), y, ahead]) for y in (left, -left)]
-    return [quat_mul(turn, above) for turn in turns] + [from_matrix(side) for side in sides]
+    quats = [quat_mul(turn, above) for turn in _TURNS] + [from_matrix(side) for side in sides]
+    return [(quat, math.inf) for quat in quats]
 
 
-def _onward(
-    task: Task, item: SceneObject, world: Pose, here: Pose, first: Pose, drop: float
-) -> list[Pose]:
+def _onward(task: Task, item: SceneObject, first: Pose, drop: float) -> list[Pose]:
     """Return the poses of the tool while it moves the part or the object to the goal."""
     goal, path = task.goal, []
+    world, here = world_poses(task.scene)[item.name], _part_pose(task)
     if isinstance(goal, JointBetween) and goal.object == item.name:
         joint = item.spec.joint(goal.joint)
         now = float(item.joint_state.get(goal.joint, 0.0))
@@ -402,10 +401,10 @@ def _touched(model: mujoco.MjModel, data: mujoco.MjData) -> str:
     return ""
 
 
-def _side(task: Task, point: NDArray) -> float:
+def _side(task: Task, point: NDArray, handle: list[Hold] | None) -> float:
     """Return the direction from the point to where the tool comes from [rad]."""
-    if _handle(task) is not None:
-        out = -rotate(_orientations(task, from_yaw(0.0))[0], (0.0, 0.0, 1.0))
+    if handle is not None:
+        out = -rotate(handle[0][0], (0.0, 0.0, 1.0))
         if np.linalg.norm(out[:2]) > 0.3:
             return math.atan2(out[1], out[0])
     camera = task.scene.camera

@@ -24,8 +24,8 @@ STEP_M = 0.012
 WAIT = 8
 """Actions for the fingers to close or to open."""
 CLEAR_M = (0.08, 0.12, 0.16, 0.2, 0.25, 0.3)
-"""Heights above the straight way to a goal at which an object is carried, the lowest at which
-nothing is in its way [m]."""
+"""Heights above the straight way to a goal at which an object is carried: the lowest at which
+nothing is in its way, or the lowest of all [m]."""
 BESIDE_M = (-0.03, 0.0, 0.03)
 """Distances from the middle of this way at which it must be free [m]."""
 
@@ -81,19 +81,21 @@ def _clearance(task: SceneTask, start: NDArray, end: NDArray) -> float:
 
     Rays along the way at the object's foot must not meet anything before its end.
     """
+    way = end - start
+    if np.linalg.norm(way) < 1e-6:  # a ray needs a direction
+        return CLEAR_M[0]
     model, data = task.controlled.model, task.controlled.initial_data()
     item = task.task.scene.object(task.task.point.object)
     at = world_poses(task.task.scene)[item.name]
     foot = bounds(item.spec, item.joint_state, tuple(at.quat))[0][2] + at.pos[2]
     own, hit = model.body(body_name(item, item.spec.root)).id, np.zeros(1, np.int32)
-    way = end - start
     across = np.cross(way, (0.0, 0.0, 1.0)) / max(float(np.linalg.norm(way[:2])), 1e-9)
     for clear in CLEAR_M:
         starts = [(*(start + side * across)[:2], foot + clear) for side in BESIDE_M]
         rays = [mujoco.mj_ray(model, data, x, way, NOT_ROBOT, 1, own, hit) for x in starts]
         if not any(0.0 <= share <= 1.0 for share in rays):
             return clear
-    return CLEAR_M[-1]
+    return CLEAR_M[0]
 
 
 def _way(poses: list[Pose], grip: float) -> list[tuple[Pose, float]]:

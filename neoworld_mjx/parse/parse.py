@@ -237,8 +237,8 @@ async def parse(
         models: reasoner and critic.
         options: number of rounds.
         evidence: what is known. Values of the camera replace those of a response, whose objects
-            keep their pixels; a metric depth image is shown to the models, and they are told the
-            names of known objects.
+            keep their pixels; a metric depth image is shown to the models, and their requests list
+            the names of known objects.
 
     Raises:
         ModelError: the first request failed, or no response gave a tree.

@@ -110,6 +110,18 @@ def test_a_lid_is_gripped_from_the_front_by_what_is_there(scene):
     assert plate[:, 2] == pytest.approx([-1, 0, 0]) and abs(plate[2, 1]) == pytest.approx(1.0)
 
 
+def test_the_script_of_an_object_at_its_goal_is_let_go_there(scene):
+    """The way to the goal has no direction."""
+    there = scene.object("block").model_copy(update={"z": 0.0551})
+    floor, chest, _ = scene.objects
+    task = tasks.place(
+        scene.model_copy(update={"objects": (floor, chest, there)}), "block", on="floor"
+    )
+    mount = propose_mount(task, ARM)
+    script = arm_script(task.on(controlled_scene(task.scene, robot=ARM, mount=mount)), ARM, mount)
+    assert script is not None and script.steps > 20
+
+
 def test_places_from_which_an_arm_does_not_reach_are_told(scene):
     task = tasks.open_joint(scene, "chest-drawer")
     far = reachable(task, ARM, Mount((3.0, 0.0, 0.0)))

@@ -345,7 +345,7 @@ def test_a_draw_that_leaves_its_pixels_is_drawn_again_before_it_is_settled():
     assert engine.candidates == 2 * 16
 
 
-def test_an_object_that_is_held_refuses_no_draw_and_is_told(samples):
+def test_an_object_that_is_held_refuses_no_draw_and_is_reported(samples):
     scene = scenes.changed(samples.model.spec, "one", held=True, fixed_base=True)
     drawn = nw.sample(scene, 4, options=OPTIONS, redraws=0)
     assert drawn.stands.all() and len(drawn.kept) == 4

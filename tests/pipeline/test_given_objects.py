@@ -81,8 +81,8 @@ def test_wrong_files_give_one_message(assets, text, message):
 def test_the_model_is_told_the_names(photo):
     picture = load_photo(photo)
     plain = parse_request(picture)
-    told = parse_request(picture, Evidence(objects=KnownObjects(keep=("mug", "lamp"))))
-    assert told.prompt.startswith(plain.prompt) and "objects: mug, lamp." in told.prompt
+    request = parse_request(picture, Evidence(objects=KnownObjects(keep=("mug", "lamp"))))
+    assert request.prompt.startswith(plain.prompt) and "objects: mug, lamp." in request.prompt
 
 
 @pytest.fixture(scope="module")
