@@ -22,31 +22,44 @@ log = logging.getLogger(__name__)
 TABLES = {
     "examples": "examples",
     "scenes": "scenes --starts 2 --method ours aligned guided gravity open_loop",
+    "arrangements": (
+        "scenes --scenes arrangements --starts 4 --method ours aligned gravity --noise layout"
+    ),
+    "arrangements_all": "scenes --scenes arrangements --starts 4 --method ours aligned gravity",
     "evidence": (
         "scenes --starts 2 --method aligned --evidence none exif fov fov+affine fov+pose fov+depth "
         "fov+pose+depth fov+masks fov+depth+masks second stereo"
     ),
     "tasks": "tasks --starts 2 --method ours --evidence none fov+pose fov+depth",
     "ablations": "tasks --starts 1 --method open_loop no_simulation without_s_sem",
+    "predicted": "tasks --starts 1 --method ours --samples 24",
+    "predicted_depth": "tasks --starts 1 --method ours --samples 24 --evidence fov+depth",
     "photos": "photos",
     "real": (
         "real-poses examples/posecnn/data --runs examples/posecnn/runs "
         "--place-with photo camera depth"
     ),
     "rescue": "rescue",
+    "rescue_photo": "rescue --photo",
     "engines": "engines",
 }
 """Words after `neoworld bench run` for each file."""
+_PANDA = (
+    "policies --robot panda --engine warp --worlds 1024 --each 2 --trained-in plan scene "
+    "--minutes 6 --samples 32"
+)
+GPU_TABLES = {"policies": _PANDA, "policies_depth": f"{_PANDA} --evidence fov+depth"}
+"""Tables that need an NVIDIA GPU; they are made only if they are named."""
 
 
 def run_tables(
     out: Path, names: tuple[str, ...], workers: int, against: Path | None
 ) -> dict[str, Any]:
-    """Run the commands of TABLES whose files are missing or of other code.
+    """Run the commands of tables whose files are missing or of other code.
 
     Args:
         out: folder of the files NAME.json.
-        names: names of tables; all if empty.
+        names: names of tables; those of TABLES if empty.
         workers: processes of the suites that take a number of them.
         against: folder of earlier files to compare with.
 
@@ -54,18 +67,19 @@ def run_tables(
         ConfigError: there is no such table.
         RunError: a file cannot be read or written.
     """
+    tables = {**TABLES, **GPU_TABLES}
     for name in names:
-        if name not in TABLES:
-            raise ConfigError(f"tables: {choices(name, TABLES)}")
+        if name not in tables:
+            raise ConfigError(f"tables: {choices(name, tables)}")
     changes = []
     for name in names or TABLES:
         file = out / f"{name}.json"
-        result = _of_this_code(file, name)
+        result = _of_this_code(file, tables[name])
         if result is None:
-            command: Any = tyro.cli(SuiteChoice, args=[*shlex.split(TABLES[name]), "--json"])
+            command: Any = tyro.cli(SuiteChoice, args=[*shlex.split(tables[name]), "--json"])
             if hasattr(command, "workers"):
                 object.__setattr__(command, "workers", workers)
-            result = {"table": TABLES[name], **command.run()}
+            result = {"table": tables[name], **command.run()}
             write_output(file, json.dumps(result, indent=1) + "\n", RunError)
             log.info(f"wrote {file}")
         if against is not None and (against / file.name).exists():
@@ -75,12 +89,12 @@ def run_tables(
     return {"files": [f"{name}.json" for name in names or TABLES], "changes": changes}
 
 
-def _of_this_code(file: Path, name: str) -> dict[str, Any] | None:
+def _of_this_code(file: Path, words: str) -> dict[str, Any] | None:
     """Return the stored result of a table if it was made by this code and command."""
     if not file.exists():
         return None
     result = _read(file)
-    same = result.get("table") == TABLES[name] and result.get("commit") == (commit() or "")
+    same = result.get("table") == words and result.get("commit") == (commit() or "")
     return result if same else None
 
 

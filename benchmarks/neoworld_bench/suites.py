@@ -275,7 +275,7 @@ class All:
     out: Path = Path("results")
     """Folder of the files TABLE.json."""
     tables: tuple[str, ...] = ()
-    """Names of tables (`neoworld_bench.all_tables.TABLES`); all by default."""
+    """Names of tables (`neoworld_bench.all_tables`); all that need no GPU by default."""
     against: Path | None = None
     """Folder of earlier files. Lists the figures whose intervals do not overlap."""
     workers: int = 0

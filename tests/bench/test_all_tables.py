@@ -1,9 +1,12 @@
 """All tables by one command: made once, and compared with earlier ones."""
 
 import json
+import shlex
 
 import pytest
+import tyro
 from neoworld_bench import all_tables
+from neoworld_bench.bench_commands import SuiteChoice
 
 from neoworld_mjx import cli
 from neoworld_mjx.errors import RunError
@@ -34,6 +37,12 @@ def test_a_table_is_made_once_by_its_command(tiny, tmp_path):
     file.write_text("[]")
     with pytest.raises(RunError, match=r"success\.json is no JSON object"):
         all_tables.run_tables(tmp_path, (), 1, None)
+
+
+def test_words_of_all_tables_are_commands():
+    for name, words in {**all_tables.TABLES, **all_tables.GPU_TABLES}.items():
+        command = tyro.cli(SuiteChoice, args=[*shlex.split(words), "--json"])
+        assert command.json and hasattr(command, "run"), name
 
 
 def test_figures_whose_intervals_do_not_overlap_are_listed():
