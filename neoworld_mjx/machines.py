@@ -6,11 +6,12 @@ Ray (Moritz et al., arXiv:1712.05889) is installed by the extra `ray`.
 import contextlib
 import os
 import socket
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
 from .cache import keep_compilations
@@ -153,6 +154,18 @@ def run_in_worker(
         return error
 
 
+def _end_with_parent() -> None:
+    """End this worker when the process that started it has ended, even if it was killed."""
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 @contextlib.contextmanager
 def _submitter(machines: Machines) -> Iterator[Callable[..., Future[Any]]]:
     """Yield a function that submits a call to a worker, and cancel the calls that are left."""
@@ -160,7 +173,9 @@ def _submitter(machines: Machines) -> Iterator[Callable[..., Future[Any]]]:
         with _on_ray(machines) as submit:
             yield submit
         return
-    pool = ProcessPoolExecutor(machines.processes, get_context("spawn"))
+    pool = ProcessPoolExecutor(
+        machines.processes, get_context("spawn"), initializer=_end_with_parent
+    )
     try:
         yield pool.submit
     except BrokenProcessPool:

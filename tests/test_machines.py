@@ -2,7 +2,9 @@
 
 import os
 import signal
+import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -70,6 +72,45 @@ def test_several_processes():
         list(run_tasks(squares, [2, -1], Machines(workers=2)))
     with pytest.raises(RunError, match="a process died"):
         list(run_tasks(dying, [3, 4], Machines(workers=2)))
+
+
+def waiting(file: str):
+    Path(file).write_text(str(os.getpid()))
+    time.sleep(60)
+    yield file
+
+
+def test_processes_end_with_the_command_that_was_killed(tmp_path):
+    file = tmp_path / "pid"
+    code = f"""
+from neoworld_mjx.machines import Machines, run_tasks
+from tests.test_machines import waiting
+if __name__ == "__main__":
+    list(run_tasks(waiting, [{str(file)!r}, {str(file)!r}], Machines(workers=2)))
+"""
+    command = tmp_path / "command.py"
+    command.write_text(code)
+    root = str(Path(__file__).parents[1])
+    path = os.pathsep.join([root, os.environ.get("PYTHONPATH", "")])
+    process = subprocess.Popen(
+        [sys.executable, str(command)], env={**os.environ, "PYTHONPATH": path}
+    )
+    try:
+        assert eventually(lambda: file.exists() and file.read_text())
+    finally:
+        process.kill()
+        process.wait()
+    worker = Path("/proc") / file.read_text()
+    assert eventually(lambda: not worker.exists())
+
+
+def eventually(holds) -> bool:
+    end = time.monotonic() + 30.0
+    while not holds():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
 
 
 @needs_ray
