@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.stats import norm
 
 import neoworld_mjx as nw
 from neoworld_mjx.commands.policy_commands import TrainCommand
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.mjx_environment import MjxEnv
-from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
+from neoworld_mjx.environments.networks import LARGEST, Actor, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
 from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_action
@@ -110,6 +111,15 @@ def test_an_update_that_goes_too_far_makes_no_further_steps():
     assert report["left_out"] == pytest.approx(1 - 1 / (SMALL.epochs * SMALL.minibatches))
     _, (report,) = optimized(Line(), 1, dataclasses.replace(options, kl=1.0))
     assert report["left_out"] == 0
+
+
+def test_the_density_of_actions_is_that_of_the_normal_distribution():
+    rng = np.random.default_rng(0)
+    mean, action, spread = rng.normal(size=(3, 4, 2))
+    actor = Actor((), jnp.asarray(spread[0]))
+    expected = norm.logpdf(action, mean, np.exp(spread[0])).sum(axis=1)
+    given = ppo.log_prob(actor, jnp.asarray(mean), jnp.asarray(action))
+    assert np.allclose(given, expected, rtol=1e-4)
 
 
 def test_networks_have_finite_gradients_and_give_the_same_in_numpy():
