@@ -279,6 +279,8 @@ def test_pictures_are_of_the_cameras_of_the_draws(scene):
 def test_handles_have_poses_and_touch_sensors(scene):
     env = nw.gym_env(scene, drive_joints=True, gripper="chest-drawer_handle")
     env.reset(seed=0)
+    # With pyramidal friction cones, what a gripper holds slips.
+    assert env.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     name, controlled = "chest-drawer_handle", env.controlled
     state = scene_state(env.data)
     pos, quat = controlled.site(state, name)

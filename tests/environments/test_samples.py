@@ -236,6 +236,7 @@ def test_what_falls_is_drawn_again_and_the_rest_stays():
     again = nw.sample(scene, 12, options=OPTIONS)
     assert len(once.kept) < len(again.kept) and again.refused[0].startswith("plank ")
     assert "refused and drawn again: plank" in again.phrase()
+    assert "others" not in again.phrase()
     first = [reason for reason in once.reasons if reason]
     assert list(again.refused[: len(first)]) == first
     np.testing.assert_array_equal(again.layouts.xy[:, 4], once.layouts.xy[:, 4])

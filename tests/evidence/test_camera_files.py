@@ -236,3 +236,8 @@ def test_a_photograph_of_any_shape_may_have_square_pixels(size):
     middle = {"cx": size[0] / 2 - 0.5, "cy": size[1] / 2 - 0.5}
     known, lens = known_camera(FileCamera(fx=600, fy=600, **middle), size, "own")
     assert lens is None and known.focal == 600
+
+
+def test_a_field_of_view_is_that_of_the_height():
+    known, lens = known_camera(FileCamera(fovy=math.radians(60)), SIZE, "own")
+    assert lens is None and known.focal == pytest.approx(240 / math.tan(math.radians(30)))
