@@ -155,3 +155,19 @@ def test_a_joint_is_turned_from_where_it_is(scene):
     on = task.on(controlled)
     states = [state_of(controlled, cabinet__hinge=angle) for angle in (-1.2, -0.75, -0.65)]
     assert [bool(on.success(s)) for s in states] == [False, False, True]
+
+
+def test_violations_of_a_goal_add_up(scene):
+    task = tasks.place(scene, "board", on="cabinet")
+    controlled = controlled_scene(scene, gripper=HAND)
+    cabinet = tasks.StateView(controlled, state_of(controlled)).pose("cabinet")[0]
+
+    def distance(aside, up):
+        at = cabinet + task.goal.target - task.goal.point + [aside, 0, up]
+        view = tasks.StateView(controlled, state_of(controlled, board=[*at, 1, 0, 0, 0]))
+        return float(task.goal.distance(view))
+
+    beside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
+    assert distance(0.0, 0.0) == 0
+    assert 0.15 < beside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
+    assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(beside + above)
