@@ -13,13 +13,13 @@ from gymnasium.utils.env_checker import check_env
 import neoworld_mjx as nw
 from neoworld_mjx.environments.arm import SceneState, scene_state
 from neoworld_mjx.environments.controlled_scene import controlled_scene
-from neoworld_mjx.environments.flying_gripper import facing
+from neoworld_mjx.environments.flying_gripper import facing, handles
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.spec import Box, Camera, ObjectSpec, SceneObject, SceneSpec
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.pose import from_yaw, rotate
 from neoworld_mjx.spec.scene import PoseUncertainty
-from tests.support.mechanisms import WOOD, geom, part, single
+from tests.support.mechanisms import WOOD, geom, joint, part, single
 from tests.support.notebooks import run_small
 
 ARM = Path(__file__).parents[2] / "examples" / "arm" / "arm.xml"
@@ -279,6 +279,8 @@ def test_pictures_are_of_the_cameras_of_the_draws(scene):
 def test_handles_have_poses_and_touch_sensors(scene):
     env = nw.gym_env(scene, drive_joints=True, gripper="chest-drawer_handle")
     env.reset(seed=0)
+    # With pyramidal friction cones, what a gripper holds slips.
+    assert env.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     name, controlled = "chest-drawer_handle", env.controlled
     state = scene_state(env.data)
     pos, quat = controlled.site(state, name)
@@ -333,3 +335,17 @@ def test_coarse_colliders_keep_mass_and_cavities_and_tell_their_error():
         mujoco.mj_forward(c.model, data)
         distance = mujoco.mj_ray(c.model, data, [0, 0, 0.5], [0, 0, -1.0], None, 1, -1, hit)
         assert c.model.geom(hit[0]).name.startswith("floor") and distance > 0.45
+
+
+def test_a_button_is_pressed_from_outside():
+    """Its joint moves inward, unlike a drawer's."""
+    parts = (
+        part("body", geom("body", Box(size=(0.2, 0.2, 0.2)), (0, 0, 0.1))),
+        part("button", geom("button", Box(size=(0.02, 0.03, 0.03)), (0.11, 0, 0.1))),
+    )
+    inward = joint("push", "prismatic", "body", "button", (0.11, 0, 0.1), (-1, 0, 0), upper=0.01)
+    spec = ObjectSpec(name="box", materials=(WOOD,), parts=parts, joints=(inward,))
+    scene = SceneSpec(objects=(SceneObject(name="box", spec=spec, environment=True),))
+    (name,) = handles(scene)
+    hand = facing(scene, name)
+    assert rotate(hand.quat, (0.0, 0.0, 1.0)) == pytest.approx((-1, 0, 0), abs=1e-6)

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.stats import norm
 
 import neoworld_mjx as nw
 from neoworld_mjx.commands.policy_commands import TrainCommand
 from neoworld_mjx.environments import ppo
 from neoworld_mjx.environments.mjx_environment import MjxEnv
-from neoworld_mjx.environments.networks import LARGEST, Layer, Normalizer, flat, mlp
+from neoworld_mjx.environments.networks import LARGEST, Actor, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
 from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_action
@@ -103,6 +104,18 @@ def test_a_gradient_that_is_not_finite_is_left_out():
     assert all(bool(jnp.isfinite(v).all()) for v in jax.tree.leaves(learner.networks))
 
 
+def test_an_episode_returns_what_it_was_rewarded():
+    class Paid(Line):
+        def step(self, state, action):
+            after = super().step(state, action)
+            return eqx.tree_at(lambda s: s.reward, after, jnp.full((), 0.25))
+
+    # The first episodes are shorter: worlds start at different ages.
+    _, reports = optimized(Paid(), 5, SMALL)
+    assert reports[0]["return"] < 4
+    assert reports[-1]["return"] == pytest.approx(0.25 * Line.horizon)
+
+
 def test_an_update_that_goes_too_far_makes_no_further_steps():
     """The first step has no divergence; after a large one, all others have too much."""
     options = dataclasses.replace(SMALL, learning_rate=1e-3, kl=1e-9)
@@ -112,12 +125,23 @@ def test_an_update_that_goes_too_far_makes_no_further_steps():
     assert report["left_out"] == 0
 
 
+def test_the_density_of_actions_is_that_of_the_normal_distribution():
+    rng = np.random.default_rng(0)
+    mean, action, spread = rng.normal(size=(3, 4, 2))
+    actor = Actor((), jnp.asarray(spread[0]))
+    expected = norm.logpdf(action, mean, np.exp(spread[0])).sum(axis=1)
+    given = ppo.log_prob(actor, jnp.asarray(mean), jnp.asarray(action))
+    assert np.allclose(given, expected, rtol=1e-4)
+
+
 def test_networks_have_finite_gradients_and_give_the_same_in_numpy():
     layers = (Layer(jnp.full((1, 2), -300.0), jnp.zeros(2)), Layer(jnp.ones((2, 1)), jnp.zeros(1)))
     assert np.isfinite(jax.grad(lambda x: mlp(layers, x)[0])(jnp.ones(1))).all()
     x = np.random.default_rng(0).normal(size=(5, 1)).astype(np.float32) / 300
     plain = jax.tree.map(np.asarray, layers)
     assert np.allclose(mlp(plain, x, np), mlp(layers, jnp.asarray(x)), atol=1e-5)
+    swish = lambda v: v / (1 + np.exp(-v))
+    assert np.allclose(mlp(plain, x, np), 2 * swish(-300 * x), atol=1e-4)
 
 
 def test_the_normalizer_is_that_of_all_observations_at_once():
@@ -343,13 +367,14 @@ def test_a_policy_of_another_scene_is_refused(scene, trained, tmp_path):
         evaluate(wide, scene, samples=0)
 
 
-def test_commands_train_and_evaluate(scene, trained, tmp_path, neoworld):
+def test_commands_train_and_evaluate(scene, trained, tmp_path, neoworld, caplog):
     file, out = tmp_path / "scene.json", tmp_path / "other"
     file.write_text(scene.to_json())
     small = ["--steps", 2, "--worlds", 8, "--samples", 0, "--engine", "native", "--horizon", 5]
     small += ["--without", "block", "--colliders", "coarse", "--delay-steps", 1, "--out", out]
     ended = neoworld("train", file, "--task", TASK, *small, "--json")
     assert ended.returncode == 0 and json.loads(ended.stdout)["steps"] == 8 * 32
+    assert "256 control steps: success" in caplog.text
     policy = read_policy(out / "policy.npz")
     assert policy.about.setting.delay_steps == 1
     assert policy.about.setting.without == ("block",)

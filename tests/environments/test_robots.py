@@ -246,3 +246,13 @@ def test_a_stand_fills_pictures_below_a_base_and_touches_nothing():
     assert not stand.contype[0] and not stand.conaffinity[0]
     simulated = controlled_scene(scenes.furnished(), robot=ARM, mount=high).model
     assert "robot-stand" not in [simulated.geom(g).name for g in range(simulated.ngeom)]
+
+
+def test_a_robot_with_a_name_is_found_in_a_checkout_of_menagerie(tmp_path, monkeypatch):
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
+    file = tmp_path / "franka_emika_panda" / "mjx_panda.xml"
+    file.parent.mkdir()
+    file.write_text("<mujoco/>")
+    found = find_robot("panda")
+    assert found.file == file and found.trusted and len(found.home) == 7
+    assert find_robot(found) is found

@@ -20,6 +20,7 @@ from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.posterior import PhysicalPrior, draw, draw_again
 from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
+from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
 
@@ -130,6 +131,18 @@ def test_the_scene_of_a_draw_is_the_simulated_model(samples):
     assert np.log(masses).std() == pytest.approx(PhysicalPrior().density, rel=0.4)
 
 
+def test_a_stated_inertia_varies_with_the_mass():
+    inertia = AuthoredInertia(pos=(0, 0, 0.03), moments=(1e-3, 2e-3, 2.5e-3), products=(1e-4, 0, 0))
+    spec = block("one")
+    part = spec.parts[0].model_copy(update={"mass": 0.8, "inertia": inertia})
+    spec = spec.model_copy(update={"parts": (part,)})
+    samples = nw.sample(scenes.on_table((spec, (0, 0), 0.0, {})), 2, options=OPTIONS)
+    for k, mass in enumerate(np.asarray(samples.poses.variation.mass)[:, 1]):
+        drawn = samples.scene(k).object("one").spec.parts[0]
+        assert abs(mass - 1) > 1e-3 and drawn.mass == pytest.approx(0.8 * mass)
+        assert np.allclose(drawn.inertia.tensor(), mass * inertia.tensor())
+
+
 def test_openings_vary_within_their_ranges_unless_another_joint_follows():
     near_end, upper = 0.084, 0.1
     state = {"fixed_base": True, "joint_state": {"hinge": near_end, "slide": 0.1}}
@@ -223,6 +236,7 @@ def test_what_falls_is_drawn_again_and_the_rest_stays():
     again = nw.sample(scene, 12, options=OPTIONS)
     assert len(once.kept) < len(again.kept) and again.refused[0].startswith("plank ")
     assert "refused and drawn again: plank" in again.phrase()
+    assert "others" not in again.phrase()
     first = [reason for reason in once.reasons if reason]
     assert list(again.refused[: len(first)]) == first
     np.testing.assert_array_equal(again.layouts.xy[:, 4], once.layouts.xy[:, 4])

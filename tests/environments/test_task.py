@@ -123,3 +123,51 @@ def test_goals_are_data(scene):
     assert type(goal).model_validate_json(goal.model_dump_json()) == goal
     assert "cabinet/slide at least 0.8" in goal.meaning()
     assert isinstance(scene.object("board"), SceneObject)
+
+
+def test_what_is_placed_in_a_container_may_lie_above_its_bottom_but_not_in_it(scene):
+    task = tasks.place(scene, "board", in_="cabinet")
+    on = task.on(controlled_scene(scene, gripper=HAND))
+    controlled = on.controlled
+    at = tasks.StateView(controlled, state_of(controlled)).pose("cabinet")[0] + task.goal.target
+    done = [
+        bool(
+            on.success(
+                state_of(controlled, board=[*(at - task.goal.point + [0, 0, up]), 1, 0, 0, 0])
+            )
+        )
+        for up in (-0.008, -0.003, 0.1, 0.3, 0.45)
+    ]
+    assert done == [False, True, True, True, False]
+
+
+def test_a_joint_is_turned_from_where_it_is(scene):
+    opened = scene.model_copy(
+        update={
+            "objects": tuple(
+                o.model_copy(update={"joint_state": {"hinge": -1.2}}) if o.name == "cabinet" else o
+                for o in scene.objects
+            )
+        }
+    )
+    task = tasks.turn(opened, "cabinet-door", 0.5)
+    controlled = controlled_scene(task.scene, gripper=HAND)
+    on = task.on(controlled)
+    states = [state_of(controlled, cabinet__hinge=angle) for angle in (-1.2, -0.75, -0.65)]
+    assert [bool(on.success(s)) for s in states] == [False, False, True]
+
+
+def test_violations_of_a_goal_add_up(scene):
+    task = tasks.place(scene, "board", on="cabinet")
+    controlled = controlled_scene(scene, gripper=HAND)
+    cabinet = tasks.StateView(controlled, state_of(controlled)).pose("cabinet")[0]
+
+    def distance(aside, up):
+        at = cabinet + task.goal.target - task.goal.point + [aside, 0, up]
+        view = tasks.StateView(controlled, state_of(controlled, board=[*at, 1, 0, 0, 0]))
+        return float(task.goal.distance(view))
+
+    beside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
+    assert distance(0.0, 0.0) == 0
+    assert 0.15 < beside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
+    assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(beside + above)

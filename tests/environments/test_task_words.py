@@ -73,6 +73,7 @@ def test_joints_are_named_by_their_words(scene, words, joint_name, bounds):
         ("place the can on the tray", "can", "tray"),
         ("move the can onto the tray", "can", "tray"),
         ("stack the tray on top of the cabinet", "tray", "cabinet"),
+        ("stack can tray", "can", "tray"),
         ("lift the can by 5 cm", "can", "table"),
         ("push the can", "can", "table"),
     ],

@@ -37,3 +37,5 @@ def test_a_replaced_camera_is_told_with_its_evidence():
 def test_small_changes_and_known_parameters_are_not_told():
     done = aligned(fovy="estimated", height="camera.json")
     assert camera_change(camera(25.3, 0.5), camera(26.0, 0.62), [done]) == ""
+    done = aligned(fovy="estimated", height="estimated")
+    assert camera_change(camera(25.3, 0.5), camera(26.0, 0.501), [done]) == ""

@@ -12,6 +12,7 @@ from neoworld_mjx.estimate.rows.edges import (
     camera_estimates,
     edges_of_photo,
     has_vertical_edges,
+    is_flat,
     linearized_edges,
 )
 from neoworld_mjx.estimate.unknowns import CAMERA
@@ -59,6 +60,13 @@ def test_upright_boxes_and_cylinders_have_vertical_edges(shape, tilt_deg, expect
     turn = matrix(from_axis_angle((0.0, 1.0, 0.0), math.radians(tilt_deg)))
     yaw = matrix(from_axis_angle((0.0, 0.0, 1.0), 0.4))
     assert has_vertical_edges(WorldMesh(vertices @ (yaw @ turn).T, triangles)) is expected
+
+
+def test_a_board_is_flat_only_if_it_lies():
+    """Edges of tables are no walls: only what does not lie can show the vertical."""
+    vertices, triangles = visible_surface(desk.colored("board", Box(size=(0.6, 0.4, 0.02)), "red"))
+    for order, flat in (([0, 1, 2], True), ([0, 2, 1], False), ([2, 1, 0], False)):
+        assert is_flat(WorldMesh(vertices[:, order], triangles)) is flat
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, -4.0])

@@ -54,6 +54,7 @@ def placed(five, parsed, photo, known):
 def test_lengths_are_those_of_the_axes():
     assert KnownSize(height=0.1, diameter=0.08).edges == {"x": 0.08, "y": 0.08, "z": 0.1}
     assert KnownSize(width=0.3).edges == {"y": 0.3}
+    assert KnownSize(width=0.3, height=0.12).phrase() == "height 0.12 m, width 0.3 m"
     for wrong in ({}, {"diameter": 0.1, "width": 0.1}, {"height": -1}, {"length": 0.1}):
         with pytest.raises(ValidationError):
             KnownSize(**wrong)
@@ -67,6 +68,11 @@ def test_a_box_gets_the_known_length_and_the_proportions_of_the_object(five, par
     assert tree.node("box").cues.known_size == ("z",) and tree.node("can") == parsed.node("can")
     tree = known.applied(parsed, {"box": five.object("box").spec})
     assert np.allclose(tree.node("box").box3d.size, 2 * size_of(five.object("box")))
+    two = KnownObjects(sizes={"box": KnownSize(height=0.18, width=0.05)})
+    assert two.applied(parsed).node("box").box3d.size[1:] == (0.05, 0.18)
+    tree = two.applied(parsed, {"box": five.object("box").spec})
+    shape = np.divide(tree.node("box").box3d.size, size_of(five.object("box")))
+    assert np.allclose(shape, shape[0])
 
 
 def test_the_box_of_an_asset_has_its_open_parts(parsed):

@@ -159,3 +159,27 @@ def test_an_object_on_a_wall_moves_in_its_plane(turn, thin):
     expected[1 - thin], expected[2] = 0.03, 0.05
     assert axes @ off == pytest.approx(expected, abs=1e-9)
     assert not unknowns.in_wall[[0, 2]].any()
+
+
+def test_a_turned_scene_is_where_it_was_written():
+    unknowns = desk.unknowns_of(scenes.coffee())
+    there = unknowns.scene_at(values(unknowns, 1))
+    turned = desk.unknowns_of(there)
+    back = turned.scene_at(turned.values_of(unknowns.scene))
+    for name, pose in world_poses(unknowns.scene).items():
+        assert world_poses(back)[name].pos == pytest.approx(pose.pos, abs=0.01)
+        assert matrix(world_poses(back)[name].quat) == pytest.approx(matrix(pose.quat), abs=1e-6)
+
+
+def test_what_is_attached_keeps_its_share_of_the_height_of_a_parent_that_grows():
+    made = scenes.blocks()
+    objects = [
+        o.model_copy(update={"relation": "attached"}) if o.name == "high" else o
+        for o in made.objects
+    ]
+    scene = made.model_copy(update={"objects": tuple(objects)})
+    unknowns = desk.unknowns_of(scene)
+    x = np.zeros(unknowns.size)
+    x[unknowns.columns(scene.index("low"))] = (0, 0, 0, 0.2)
+    grown = unknowns.scene_at(x).object("high")
+    assert grown.z == pytest.approx(scene.object("high").z * math.exp(0.2))

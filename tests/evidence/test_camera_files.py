@@ -218,3 +218,26 @@ def test_broken_files_give_one_message(tmp_path, name, text, message):
 def test_photograph_that_is_not_in_the_file_is_named(tmp_path):
     with pytest.raises(EvidenceError, match=r"2 images \(a/other.jpg, a/photo.jpg\), none.*IMG"):
         read_camera(with_pose(tmp_path, "nerfstudio"), "IMG_1.jpg")
+
+
+def test_an_image_that_is_not_in_a_file_has_the_camera_that_all_others_share(tmp_path):
+    path = tmp_path / "scene_camera.json"
+    bop(path)
+    assert read_camera(path, "000012.png").fx == FX
+    images = json.loads(path.read_text())
+    images["7"]["cam_K"][0] = 2 * FX
+    path.write_text(json.dumps(images))
+    with pytest.raises(EvidenceError, match=r"2 images \(3, 7\), none with the number of 000012"):
+        read_camera(path, "000012.png")
+
+
+@pytest.mark.parametrize("size", [(640, 250), (500, 500)])
+def test_a_photograph_of_any_shape_may_have_square_pixels(size):
+    middle = {"cx": size[0] / 2 - 0.5, "cy": size[1] / 2 - 0.5}
+    known, lens = known_camera(FileCamera(fx=600, fy=600, **middle), size, "own")
+    assert lens is None and known.focal == 600
+
+
+def test_a_field_of_view_is_that_of_the_height():
+    known, lens = known_camera(FileCamera(fovy=math.radians(60)), SIZE, "own")
+    assert lens is None and known.focal == pytest.approx(240 / math.tan(math.radians(30)))

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from neoworld_mjx.evidence.exif import exif_camera
 from neoworld_mjx.evidence.known_camera import (
     EXACT_ANGLE,
     EXACT_FOCAL,
@@ -157,3 +159,10 @@ def test_base_frame_of_a_camera():
     assert frame.apply([0.0, 0.0, GUESS.height]) == pytest.approx([0.4, -0.2, 1.1])
     assert frame.apply([1.0, 0.0, 0.0])[:2] == pytest.approx([0.4, 0.8])
     assert KnownCamera(size=(640, 480)).base_frame(GUESS) is None
+
+
+def test_the_focal_length_of_a_photograph_is_for_a_film_of_its_diagonal(tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 43  # FocalLengthIn35mmFilm
+    Image.new("RGB", (300, 400)).save(tmp_path / "photo.jpg", exif=exif)
+    assert exif_camera(tmp_path / "photo.jpg", (300, 400)).focal == pytest.approx(500, rel=0.01)

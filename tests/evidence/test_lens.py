@@ -59,6 +59,9 @@ def test_undistorted_image_shows_each_point_where_a_pinhole_camera_has_it(name):
     seen = (np.stack([u, v], axis=-1) - pinhole.center) / pinhole.focal
     inside = result[2:-2, 2:-2]
     assert np.abs(inside - pattern(seen)[2:-2, 2:-2]).max() < 0.05
+    colors = np.stack([image, -image, 2 * image], axis=-1)
+    expected = np.stack([result, -result, 2 * result], axis=-1)
+    assert np.allclose(undistorted_image(colors, lens, pinhole, smooth=True), expected)
 
 
 def test_depth_confidence_and_masks_are_undistorted_like_the_photograph():

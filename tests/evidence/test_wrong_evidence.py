@@ -8,7 +8,10 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.errors import EvidenceError
+from neoworld_mjx.evidence.consistency import check_evidence
+from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence, evidence_of
+from neoworld_mjx.evidence.masks import Masks
 from neoworld_mjx.spec import Camera
 from tests.support.made_up_view import HEIGHT, WIDTH, depth, labels, picture
 
@@ -202,3 +205,15 @@ def test_swapped_cx_and_cy(tmp_path):
     camera = written(tmp_path, "camera.json", LENS | {"cx": 119.5, "cy": 59.5})
     with pytest.raises(EvidenceError, match="cx and cy are swapped"):
         evidence_of(StatedEvidence(camera=camera), "a.png", tall, (120, 240))
+
+
+@pytest.mark.parametrize(
+    ("masks", "message"),
+    [
+        (Masks(np.zeros((60, 80), int), {}, "array"), "array has no masks"),
+        (Masks(np.ones((60, 80), int), {"cup": 1, "can": 2}, "array"), "masks of can are empty"),
+    ],
+)
+def test_masks_that_are_no_file_are_checked(masks, message):
+    with pytest.raises(EvidenceError, match=message):
+        check_evidence(Evidence(masks=masks), np.zeros((60, 80, 3), np.uint8))

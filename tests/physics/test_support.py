@@ -5,7 +5,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.physics.support import NO_SURFACE, height_above, support, vertical_intersections
+from neoworld_mjx.physics.support import (
+    NO_SURFACE,
+    height_above,
+    support,
+    underside_points,
+    vertical_intersections,
+)
 from neoworld_mjx.spec import (
     Box,
     Capsule,
@@ -236,3 +242,21 @@ def test_an_object_that_leans_in_its_parent_stands_on_its_lowest_edge(degrees, o
     )  # fmt: skip
     found = height(SceneSpec(objects=(parent, item)), item)
     assert found == pytest.approx(lowest + (0.01 if on_floor else 0.11), abs=2e-3)
+
+
+def test_the_underside_of_a_lying_capsule_reaches_to_its_ends():
+    lying = tuple(from_axis_angle((0.0, 1.0, 0.0), np.pi / 2))
+    item = SceneObject(
+        name="rod", spec=single("rod", Capsule(radius=0.02, length=0.06)), base_tilt=lying
+    )
+    points = underside_points(item)
+    points = points[np.isfinite(points[:, 2])]
+    assert 0.04 < np.abs(points[:, 0]).max() <= 0.0501
+    assert points[:, 2].min() == pytest.approx(-0.02, abs=1e-6)
+
+
+def test_a_line_in_the_wall_of_a_cylinder_meets_it():
+    at = np.array([[0.5, 0.0], [0.0, -0.5], [0.500001, 0.0]])
+    low, high = vertical_intersections(Piece("cylinder", (0.5, 0.1)), pose((0.0, 0.0, 0.0)), at)
+    assert low[:2] == pytest.approx(-0.1) and high[:2] == pytest.approx(0.1)
+    assert low[2] == np.inf

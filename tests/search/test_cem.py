@@ -7,6 +7,7 @@ import pytest
 
 from neoworld_mjx.config import CEMOptions
 from neoworld_mjx.search import open_cem
+from neoworld_mjx.search.cem import elite_rows
 from neoworld_mjx.spec import Box
 from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
@@ -107,3 +108,8 @@ def test_failed_candidates_never_become_elites(scene):
     plain = open_cem(scene, CEMOptions(widest=1.0))
     unchanged = plain.tell(state, drawn, jnp.full(8, -jnp.inf))
     jax.tree.map(np.testing.assert_array_equal, unchanged, state)
+
+
+def test_rewards_that_are_not_finite_make_no_elites():
+    best, weights = elite_rows(jnp.array([jnp.inf, 1.0, jnp.nan, 2.0]), 2)
+    assert best.tolist() == [3, 1] and weights.tolist() == [1.0, 1.0]
