@@ -157,10 +157,10 @@ def run_in_worker(
 def _end_with_parent() -> None:
     """End this worker when the process that started it has ended, even if it was killed."""
     parent = parent_process()
+    assert parent is not None, "this process is no worker"
 
     def watch() -> None:
-        if parent is not None:
-            parent.join()
+        parent.join()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
