@@ -48,7 +48,12 @@ _PANDA = (
     "policies --robot panda --engine warp --worlds 1024 --each 2 --trained-in plan scene "
     "--minutes 6 --samples 32"
 )
-GPU_TABLES = {"policies": _PANDA, "policies_depth": f"{_PANDA} --evidence fov+depth"}
+GPU_TABLES = {
+    "policies": _PANDA,
+    "policies_depth": f"{_PANDA} --evidence fov+depth",
+    "policies_no_simulation": f"{_PANDA} --method no_simulation",
+    "policies_open_loop": f"{_PANDA} --method open_loop",
+}
 """Tables that need an NVIDIA GPU; they are made only if they are named."""
 
 

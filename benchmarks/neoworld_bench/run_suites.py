@@ -93,7 +93,7 @@ def run_policies(o: suites.Policies, config: Config) -> dict[str, Any]:
         folder = o.keep or (store.folder or Path(scratch)) / "policies"
         work = partial(
             policy_rows,
-            PolicyTraining(training, o.worlds, o.samples, setting, folder, o.robot),
+            PolicyTraining(training, o.worlds, o.samples, setting, folder, o.robot, o.method),
         )
         rows = run_jobs(
             work,

@@ -173,6 +173,8 @@ class Policies(NoisyRuns):
     """Scenes in which policies are trained, each on all tasks before the next. scene: in draws of
     the reconstruction; mean: in the reconstruction alone, without randomization; truth: in the
     ground truth with draws of its physics. plan is the open-loop plan instead."""
+    method: Literal["ours", "no_simulation", "without_s_sem", "open_loop"] = "ours"
+    """Method that makes the reconstructions, as in `bench run tasks`."""
     noise: Literal["exact", "layout", "parse"] = "parse"
     """Noise of the initial scenes, as in `bench run tasks`."""
     starts: int = 1

@@ -100,6 +100,12 @@ def test_policies_are_trained_in_the_reconstruction_and_run_in_the_truth(tmp_pat
     store = RowStore(tmp_path / "rows.jsonl")
     store.put("a", [scene])
     assert RowStore(tmp_path / "rows.jsonl").of(PolicyRow) == [scene]
+    # Another method makes another reconstruction.
+    other = replace(o, method="open_loop", reconstructions={})
+    (row,) = policy_rows(other, MethodJob("push_block", 0, ("plan",), settings, 1))
+    assert not row.reason
+    ends = [next(iter(each.reconstructions.values()))[0] for each in (o, other)]
+    assert ends[0].object("toy_block") != ends[1].object("toy_block")
     job = MethodJob("push_block", 0, ("truth",), settings, 1)
     broken = replace(o, samples=0, robot="none.xml", reconstructions={})
     (row,) = policy_rows(broken, job)

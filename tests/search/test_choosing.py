@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.config import RefineOptions, SettleOptions
-from neoworld_mjx.measure import measured, passes, scene_checks
+from neoworld_mjx.measure import SETTLED_AWAY, measured, passes, scene_checks
 from neoworld_mjx.physics.layout import Layout, Poses
 from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.search import finishing
@@ -18,6 +18,7 @@ from neoworld_mjx.search.finishing import (
     settle_and_check,
 )
 from neoworld_mjx.spec import Box, SceneSpec
+from neoworld_mjx.spec.scene import PoseUncertainty
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -122,6 +123,47 @@ def test_an_object_is_held_with_the_objects_that_carry_it():
     failed = settle_and_check(compile_for_simulation(scene), scene, OPTIONS)
     end = finishing.hold_failing(scene, failed, OPTIONS)
     assert [item.name for item in end.scene.objects if item.held] == ["plate", "cube"]
+
+
+def test_a_candidate_far_from_the_estimate_does_not_win(models):
+    """The plate stands in both candidates, 9 and 1.2 cm from where the photograph shows it."""
+    known = PoseUncertainty(along=0.015, across=0.002, yaw=0.1, log_scale=0.02)
+    objects = [
+        item.model_copy(update={"uncertainty": known}) if item.name == "plate" else item
+        for item in models[FALLS].spec.objects
+    ]
+    scene = models[FALLS].spec.model_copy(update={"objects": tuple(objects)})
+    near, far = 0.048, -STANDS
+    for estimate, wins in ((models[FALLS].spec, (0, 0)), (scene, (0, 1))):
+        world, model, rounds, o, initial = searched(
+            compile_scene(estimate), [far, near], [True] * 2
+        )
+        chosen = choose_winner(world, model, rounds, o, initial)
+        assert chosen.candidate == wins and chosen.finished.passed
+    away = settle_and_check(world, model.apply(rounds[0].layouts, 0), OPTIONS)
+    (failed,) = [check for check in scene_checks(away.measure, OPTIONS) if not check.passed]
+    assert (failed.name, failed.failing) == (SETTLED_AWAY, ("plate",))
+    # 9 cm toward the camera, in units of hypot(.015, .01) m, of which 4 are allowed.
+    assert failed.value == pytest.approx(0.09 / 0.018 / 4, rel=0.03)
+    end = finishing.hold_failing(scene, away, OPTIONS)
+    assert end.scene.object("plate").held and not end.passed
+
+
+def test_deviations_are_measured_along_and_across_the_view():
+    """A block 50 cm from the camera; its center counts, at any size."""
+    cube = scenes.single("cube", (Box(size=(0.02, 0.02, 0.02)), (0.1, 0, 0)))
+    known = PoseUncertainty(along=0.02, across=0.005, yaw=None, log_scale=0.02)
+    at = lambda xy, scale=1.0: scenes.on_table(
+        (cube.scaled(scale), xy, 0.0, {"uncertainty": known})
+    )
+    estimate = at((0.0, 0.0))
+    for shift, axis in (((0.03, 0.0), 0.02), ((0.0, 0.03), 0.005)):
+        expected = 0.03 / np.hypot(axis, 0.01)
+        found = finishing.deviations_from(estimate, at(shift), 0.01)
+        assert found == {"cube": pytest.approx(expected, rel=1e-6)}
+    assert finishing.deviations_from(estimate, at((0.0, 0.0), 2.0), 0.01)["cube"] < 1e-9
+    unknown = scenes.on_table((cube, (0.0, 0.0), 0.0, {}))
+    assert finishing.deviations_from(unknown, at((0.3, 0.0)), 0.01) == {}
 
 
 def iteration(valid, reward):

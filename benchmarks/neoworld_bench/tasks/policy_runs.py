@@ -127,6 +127,8 @@ class PolicyTraining:
     """Folder of the policies."""
     robot: str | None = None
     """Robot instead of a flying gripper."""
+    method: str = "ours"
+    """Method that makes the reconstructions."""
     reconstructions: dict[tuple[str, int, str], tuple[SceneSpec, NoiseLog]] = field(
         default_factory=dict
     )
@@ -146,7 +148,9 @@ def policy_rows(o: PolicyTraining, job: MethodJob) -> Iterator[PolicyRow]:
                 fields["results"] = (_plan_result(task, scene),)
             else:
                 evidence = "photo" if job.evidence == "none" else job.evidence
-                name = [task.name, str(job.start), method, *[evidence] * (method != "truth")]
+                name = [task.name, str(job.start), method]
+                if method != "truth":
+                    name += [evidence, *[o.method] * (o.method != "ours")]
                 folder = o.folder / "-".join([*name, *([Path(o.robot).stem] if o.robot else [])])
                 fields["results"] = _trained(o, task, method, scene, folder)
         except Exception as error:  # An error of one task must not end the run of all others.
@@ -163,7 +167,7 @@ def _reconstruction(
     if key not in o.reconstructions:
         photo, errors = photographed_task(task.scene), NoiseLog()
         initial = job.initial(photo.scene, f"task/{task.name}", errors)
-        [(_, result)] = job.outcomes(("ours",), initial, photo.scene)
+        [(_, result)] = job.outcomes((o.method,), initial, photo.scene)
         o.reconstructions[key] = photo.back(result.scene), errors
     return o.reconstructions[key]
 
