@@ -22,6 +22,7 @@ from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.engines import initial_world
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.mjcf import VISUAL_GROUP
 from neoworld_mjx.render.view import View
 from neoworld_mjx.spec.pose import from_axis_angle, quat_mul, rotate
 from tests.support import scenes
@@ -211,6 +212,21 @@ def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
     camera = scenes.furnished().camera
     assert camera is not None
     np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
+
+
+def test_pictures_show_the_visual_geoms_of_a_robot_that_has_some(tmp_path):
+    """Not its colliders, of which only those of the gripper are kept."""
+    ball = '<geom class="shown" type="sphere" size="0.05"/>'
+    dressed, base = tmp_path / "arm.xml", '<body name="base" childclass="arm">'
+    dressed.write_text(ARM.read_text().replace(base, base + ball, 1))
+    model = controlled_scene(
+        scenes.furnished(), robot=dressed, mount=Mount((-0.6, 0.2, 0.0)), visual=True
+    ).model
+    robot = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name[:5] == "robot"]
+    shown = [g for g in robot if model.geom_group[g] == VISUAL_GROUP]
+    assert [model.geom_size[g, 0] for g in shown] == [0.05]
+    assert not model.geom_conaffinity[shown].any()
+    assert len(robot) > 1 and model.geom_conaffinity[np.setdiff1d(robot, shown)].all()
 
 
 def test_an_arm_stands_still_from_its_start_in_every_engine(controlled, data):

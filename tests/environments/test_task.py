@@ -162,12 +162,14 @@ def test_violations_of_a_goal_add_up(scene):
     controlled = controlled_scene(scene, gripper=HAND)
     cabinet = tasks.StateView(controlled, state_of(controlled)).pose("cabinet")[0]
 
-    def distance(aside, up):
+    def distance(aside, up, goal=task.goal):
         at = cabinet + task.goal.target - task.goal.point + [aside, 0, up]
         view = tasks.StateView(controlled, state_of(controlled, board=[*at, 1, 0, 0, 0]))
-        return float(task.goal.distance(view))
+        return float(goal.distance(view))
 
     beside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
     assert distance(0.0, 0.0) == 0
     assert 0.15 < beside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
     assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(beside + above)
+    lying = task.goal.model_copy(update={"tilt": (1.5, 3.0)})
+    assert distance(0.0, 0.1, lying) == pytest.approx(above + 0.1 * 1.5)
