@@ -20,6 +20,7 @@ from neoworld_mjx.environments.arm import (
 from neoworld_mjx.environments.cameras import camera_view, picture
 from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.engines import initial_world
+from neoworld_mjx.environments.robot_model import ONE_JAW_M
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.physics.mjcf import VISUAL_GROUP
@@ -212,6 +213,26 @@ def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
     camera = scenes.furnished().camera
     assert camera is not None
     np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
+
+
+def test_a_gripper_may_have_one_jaw(tmp_path, controlled):
+    """Its tool has the same axes, and is nearer to the jaw."""
+    one, text = tmp_path / "arm.xml", ARM.read_text()
+    for part in (
+        '<joint name="right" class="finger" axis="0 -1 0"/>',
+        '<position class="finger" name="right" joint="right"/>',
+    ):
+        assert part in text
+        text = text.replace(part, "")
+    one.write_text(text.replace(" 0.02 0.02", " 0.02"))
+    other = controlled_scene(scenes.furnished(), robot=one, mount=MOUNT)
+    (pos, quat), (pos_of_two, quat_of_two) = (
+        c.tool(scene_state(c.initial_data())) for c in (other, controlled)
+    )
+    assert abs(quat @ quat_of_two) == pytest.approx(1.0)
+    aside = pos - pos_of_two
+    assert np.linalg.norm(aside) == pytest.approx(ONE_JAW_M)
+    assert aside @ (controlled.initial_data().body("robot-left").xpos - pos_of_two) > 0
 
 
 def test_pictures_show_the_visual_geoms_of_a_robot_that_has_some(tmp_path):
