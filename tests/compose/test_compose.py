@@ -264,20 +264,12 @@ def mushroom():
     return ObjectSpec(name="mushroom", materials=(LIGHT,), parts=(part("body", stem, cap),))
 
 
-@pytest.mark.parametrize(
-    ("shape", "relation", "depends"),
-    [
-        (Capsule(radius=0.005, length=0.1), "in", True),
-        (Capsule(radius=0.005, length=0.1), "on", False),
-        (Box(size=(0.05, 0.05, 0.05)), "in", False),
-    ],
-)
-def test_only_what_cannot_stand_without_its_container_depends_on_its_scene(
-    shape, relation, depends
-):
-    pen = scenes.single("pen", (shape, (0, 0, 0)))
-    where = node("pen", pen, (1.0, 0.0, 0.0), relation=relation)
-    assert pose_without_scene(where, pen, level=False) == (where.base_tilt, depends)
+def test_only_what_cannot_stand_without_its_container_depends_on_its_scene():
+    shapes = (Capsule(radius=0.005, length=0.1), Box(size=(0.05, 0.05, 0.05)))
+    pen, block = (scenes.single("thing", (shape, (0, 0, 0))) for shape in shapes)
+    for spec, relation, depends in ((pen, "in", True), (pen, "on", False), (block, "in", False)):
+        where = node("thing", spec, (1.0, 0.0, 0.0), relation=relation)
+        assert pose_without_scene(where, spec, level=False) == (where.base_tilt, depends)
 
 
 def test_a_lying_object_is_tilted_to_its_resting_pose():

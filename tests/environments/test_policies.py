@@ -16,28 +16,17 @@ from scipy.stats import norm
 
 import neoworld_mjx as nw
 from neoworld_mjx.commands.policy_commands import TrainCommand
-from neoworld_mjx.environments import ppo
+from neoworld_mjx.environments import policy_environment, ppo, training
 from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Actor, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
-from neoworld_mjx.environments.policy_environment import (
-    PolicyEnv,
-    Script,
-    policy_action,
-    policy_observation,
-)
+from neoworld_mjx.environments.policy_environment import PolicyEnv, Script, policy_action
 from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
-from neoworld_mjx.environments.training import (
-    Training,
-    draw_curve,
-    propose_setting,
-    task_scene,
-    train,
-)
+from neoworld_mjx.environments.training import Training, propose_setting, task_scene, train
 from neoworld_mjx.environments.trials import evaluate, wilson
 from neoworld_mjx.environments.video import play
 from neoworld_mjx.errors import SpecError
@@ -236,7 +225,7 @@ def test_a_policy_observes_the_joints_of_its_object_and_the_turn_of_its_target(s
     data = controlled.initial_data()
     data.qpos[controlled.model.joint("chest-slide").qposadr] = 0.123
     data.ctrl[3:6] = 0.21, 0.32, 0.43
-    seen = policy_observation(task, scene_state(data), np)
+    seen = policy_environment.policy_observation(task, scene_state(data), np)
     for value in (0.123, 0.21, 0.32, 0.43):
         assert np.isclose(seen, value, atol=1e-6).sum() == 1
 
@@ -296,13 +285,13 @@ def test_training_writes_a_policy_and_resumes(scene, trained):
     assert read_policy(out / "policy.npz").about.steps == 256
 
 
-@pytest.mark.parametrize("name", ["success", "progress"])
-def test_the_curve_shows_success_and_progress(tmp_path, name):
+def test_the_curve_shows_success_and_progress(tmp_path):
     pytest.importorskip("matplotlib")
     rows = [{"steps": k, "episodes": 1, "success": 0.2, "progress": 0.4} for k in range(3)]
-    draw_curve(rows, tmp_path / "one.png")
-    draw_curve([row | {name: 0.1 * row["steps"]} for row in rows], tmp_path / "other.png")
-    assert (tmp_path / "one.png").read_bytes() != (tmp_path / "other.png").read_bytes()
+    for name in ("none", "success", "progress"):
+        curve = [row | {name: 0.1 * row["steps"]} for row in rows]
+        training.draw_curve(curve, tmp_path / f"{name}.png")
+    assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 3
 
 
 def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):

@@ -209,9 +209,8 @@ def test_depths_are_compared_with_the_distances_of_the_response_at_any_size():
     """At half its size, at which only the boxes show something."""
     tree, values = response(), np.full((240, 320), np.nan)
     values[100:140, 150:200] = 1.0
-    box = Box2D(x0=300.0, y0=200.0, x1=400.0, y1=280.0)
-    nodes = [node.model_copy(update={"box2d": box}) for node in tree.nodes]
-    tree = tree.model_copy(update={"nodes": tuple(nodes)})
+    box = {"box2d": Box2D(x0=300.0, y0=200.0, x1=400.0, y1=280.0)}
+    tree = tree.model_copy(update={"nodes": tuple(n.model_copy(update=box) for n in tree.nodes)})
     check_distances(DepthImage(values, "metric"), tree)
     with pytest.raises(EvidenceError, match=r"0\.00091 times the distances"):
         check_distances(DepthImage(0.001 * values, "metric"), tree)
