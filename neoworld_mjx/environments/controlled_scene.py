@@ -14,7 +14,7 @@ from ..errors import SpecError, choices
 from ..export.drives import Drive, drives
 from ..export.write_mjcf import add_frames
 from ..physics.gripper import PREFIX, Gripper, attach_gripper
-from ..physics.mjcf import IMPRATIO, to_mjspec
+from ..physics.mjcf import to_mjspec
 from ..physics.model import SceneModel, compile_scene
 from ..spec import SceneSpec, bounds, read_scene, world_poses
 from ..spec.pose import quat_mul, rotate
@@ -255,9 +255,6 @@ def controlled_scene(
         model.delete(key)
     for item in spec.objects:
         add_frames(model, item.name, item.spec)
-    if not mjx:
-        model.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        model.option.impratio = IMPRATIO
     driven = drive_joints if drive_joints is not None else hand is None and robot is None
     scene_drives = drives(spec) if driven else ()
     for drive in scene_drives:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.compose.compose import as_parsed, compose, moved_tree
-from neoworld_mjx.compose.resting_pose import on_level, resting_tilt
+from neoworld_mjx.compose.resting_pose import on_level, pose_without_scene, resting_tilt
 from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.colliders import object_depths, start_state
 from neoworld_mjx.physics.layout import Layout
@@ -93,6 +93,18 @@ def test_positions_and_headings_match_the_parse():
     assert pose.pos[2] == pytest.approx(1e-4, abs=1e-6)
     assert pose.quat == pytest.approx([math.cos(0.5), 0, 0, math.sin(0.5)])
     assert result.scene.object("cup").yaw == pytest.approx(0.6)  # the table's yaw is 0.4
+
+
+def test_only_contents_keep_their_parsed_height():
+    cup, ball = scenes.cup(), scenes.single("ball", (Box(size=(0.01, 0.01, 0.01)), (0, 0, 0)))
+    nodes = (
+        node("cup", cup, (1.0, 0.0, 0.03)),
+        node("ball", ball, (1.0, 0.0, 0.09), parent="cup", relation="in"),
+    )
+    tree = SceneTree(camera=CAMERA, nodes=(ground(), *nodes))
+    poses = world_poses(as_parsed(tree, {"table": scenes.table(), "cup": cup, "ball": ball}))
+    assert poses["cup"].pos[2] == pytest.approx(0.0, abs=1e-3)
+    assert poses["ball"].pos[2] - poses["cup"].pos[2] == pytest.approx(0.06, abs=1e-3)
 
 
 def test_a_tree_moves_with_its_objects_but_not_what_the_user_placed():
@@ -250,6 +262,14 @@ def mushroom():
     stem = geom("stem", Cylinder(radius=0.015, height=0.07), (0, 0, 0.035))
     cap = geom("cap", Box(size=(0.05, 0.05, 0.02)), (0, 0, 0.08))
     return ObjectSpec(name="mushroom", materials=(LIGHT,), parts=(part("body", stem, cap),))
+
+
+def test_only_what_cannot_stand_without_its_container_depends_on_its_scene():
+    shapes = (Capsule(radius=0.005, length=0.1), Box(size=(0.05, 0.05, 0.05)))
+    pen, block = (scenes.single("thing", (shape, (0, 0, 0))) for shape in shapes)
+    for spec, relation, depends in ((pen, "in", True), (pen, "on", False), (block, "in", False)):
+        where = node("thing", spec, (1.0, 0.0, 0.0), relation=relation)
+        assert pose_without_scene(where, spec, level=False) == (where.base_tilt, depends)
 
 
 def test_a_lying_object_is_tilted_to_its_resting_pose():

@@ -62,6 +62,7 @@ def test_an_open_lid_stays_at_its_parsed_angle():
         ({"upper": OPEN, "axis": (0, 0, 1)}, 0.3),  # A door: no load.
         ({"stiffness": 3.0}, OPEN),  # A joint with a spring.
         ({"friction": 50.0}, OPEN),
+        ({"lower": -OPEN, "upper": 0.0, "axis": (0, 1, 0)}, 0.0),  # Closed at its upper limit.
     ],
 )
 def test_joints_without_a_load_do_not_change(hinge, state):

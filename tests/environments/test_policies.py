@@ -16,12 +16,13 @@ from scipy.stats import norm
 
 import neoworld_mjx as nw
 from neoworld_mjx.commands.policy_commands import TrainCommand
-from neoworld_mjx.environments import ppo
+from neoworld_mjx.environments import policy_environment, ppo, training
+from neoworld_mjx.environments.arm import scene_state
 from neoworld_mjx.environments.mjx_environment import MjxEnv
 from neoworld_mjx.environments.networks import LARGEST, Actor, Layer, Normalizer, flat, mlp
 from neoworld_mjx.environments.own_reward import read_reward
 from neoworld_mjx.environments.policy import Policy, Setting, read_policy
-from neoworld_mjx.environments.policy_environment import PolicyEnv, policy_action
+from neoworld_mjx.environments.policy_environment import PolicyEnv, Script, policy_action
 from neoworld_mjx.environments.randomization import variants_of
 from neoworld_mjx.environments.samples import sample
 from neoworld_mjx.environments.task_words import gripper_of, task_of
@@ -218,6 +219,27 @@ def test_a_flying_gripper_moves_by_changes_and_closes(scene):
     assert held[-1] == pytest.approx(0.12)
 
 
+def test_a_policy_observes_the_joints_of_its_object_and_the_turn_of_its_target(scene):
+    task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
+    controlled = task.controlled
+    data = controlled.initial_data()
+    data.qpos[controlled.model.joint("chest-slide").qposadr] = 0.123
+    data.ctrl[3:6] = 0.21, 0.32, 0.43
+    seen = policy_environment.policy_observation(task, scene_state(data), np)
+    for value in (0.123, 0.21, 0.32, 0.43):
+        assert np.isclose(seen, value, atol=1e-6).sum() == 1
+
+
+def test_starts_along_a_script_have_done_its_first_steps(scene):
+    task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
+    hold = jnp.asarray(task.controlled.hold_action)
+    first = lambda state, start, t: jnp.where(t == 0, hold.at[0].add(0.02), hold)
+    inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
+    env = PolicyEnv(inner, 10, Script(first, 2))
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 16))
+    assert {round(float(x), 6) for x in states.data.ctrl[:, 0]} == {0.0, 0.02}
+
+
 def test_each_episode_delays_actions_by_its_own_steps(scene):
     task = task_scene(scene, Setting(task=TASK, gripper="chest-drawer_handle"))
     inner = MjxEnv(task.controlled, task=task, engine="native", control_s=0.04)
@@ -255,11 +277,21 @@ def test_training_writes_a_policy_and_resumes(scene, trained):
     other = setting.model_copy(update={"horizon": 30})
     with pytest.raises(SpecError, match=r"another training, in which horizon is 20, not 30$"):
         train(scene, other, out, training=more, options=SMALL, resume=True)
-    with pytest.raises(SpecError, match=r"steps \(0\) and worlds \(8\) must be positive"):
-        train(scene, setting, out / "new", training=Training(steps=0, samples=0), options=SMALL)
+    # Without an engine and options, those that suit the machine are used.
+    with pytest.raises(SpecError, match=r"steps \(0\) and worlds \(\d+\) must be positive"):
+        train(scene, setting, out / "new", training=Training(steps=0, samples=0))
     with pytest.raises(SpecError, match="has a policy: resume it"):
         train(scene, setting, out, training=more, options=SMALL)
     assert read_policy(out / "policy.npz").about.steps == 256
+
+
+def test_the_curve_shows_success_and_progress(tmp_path):
+    pytest.importorskip("matplotlib")
+    rows = [{"steps": k, "episodes": 1, "success": 0.2, "progress": 0.4} for k in range(3)]
+    for name in ("none", "success", "progress"):
+        curve = [row | {name: 0.1 * row["steps"]} for row in rows]
+        training.draw_curve(curve, tmp_path / f"{name}.png")
+    assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 3
 
 
 def test_training_takes_a_reward_of_the_user(scene, tmp_path, neoworld):

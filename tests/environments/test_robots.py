@@ -1,5 +1,6 @@
 """Robot arms beside a scene: reading them, and moving their tools."""
 
+import re
 from pathlib import Path
 
 import jax
@@ -20,8 +21,10 @@ from neoworld_mjx.environments.arm import (
 from neoworld_mjx.environments.cameras import camera_view, picture
 from neoworld_mjx.environments.controlled_scene import controlled_scene
 from neoworld_mjx.environments.engines import initial_world
+from neoworld_mjx.environments.robot_model import ONE_JAW_M
 from neoworld_mjx.environments.robots import Mount, find_robot
 from neoworld_mjx.errors import SpecError
+from neoworld_mjx.physics.mjcf import VISUAL_GROUP
 from neoworld_mjx.render.view import View
 from neoworld_mjx.spec.pose import from_axis_angle, quat_mul, rotate
 from tests.support import scenes
@@ -213,8 +216,37 @@ def test_pictures_show_the_robot_from_the_wrist_and_from_any_view():
     np.testing.assert_allclose(camera_view(shown, data, "photo").eye, camera.position())
 
 
+def test_a_gripper_may_have_one_jaw(tmp_path, controlled):
+    """Its tool has the same axes, and is nearer to the jaw."""
+    one = tmp_path / "arm.xml"
+    text = re.sub(r'<(joint|position) [^>]*name="right"[^>]*>', "", ARM.read_text())
+    one.write_text(text.replace(" 0.02 0.02", " 0.02"))
+    other = controlled_scene(scenes.furnished(), robot=one, mount=MOUNT)
+    (pos, quat), (pos_of_two, quat_of_two) = (
+        c.tool(scene_state(c.initial_data())) for c in (other, controlled)
+    )
+    assert abs(quat @ quat_of_two) == pytest.approx(1.0)
+    aside = pos - pos_of_two
+    assert np.linalg.norm(aside) == pytest.approx(ONE_JAW_M)
+    assert aside @ (controlled.initial_data().body("robot-left").xpos - pos_of_two) > 0
+
+
+def test_pictures_show_the_visual_geoms_of_a_robot_that_has_some(tmp_path):
+    """Not its colliders, of which only those of the gripper are kept."""
+    ball = '<geom class="shown" type="sphere" size="0.05"/>'
+    dressed, base = tmp_path / "arm.xml", '<body name="base" childclass="arm">'
+    dressed.write_text(ARM.read_text().replace(base, base + ball, 1))
+    mount = Mount((-0.6, 0.2, 0.0))  # without a stand
+    model = controlled_scene(scenes.furnished(), robot=dressed, mount=mount, visual=True).model
+    robot = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name[:5] == "robot"]
+    shown = [g for g in robot if model.geom_group[g] == VISUAL_GROUP]
+    assert [model.geom_size[g, 0] for g in shown] == [0.05]
+    assert len(robot) > 1 and model.geom_conaffinity[np.setdiff1d(robot, shown)].all()
+
+
 def test_an_arm_stands_still_from_its_start_in_every_engine(controlled, data):
-    """Its filters have settled, in MjData and in the worlds of a batch."""
+    """Its filters have settled, in MjData and in the worlds of a batch; a drawer is as it was."""
+    assert data.joint("cabinet-slide").qpos == pytest.approx(0.2)
     assert data.act == pytest.approx(data.ctrl[controlled.arm.actuators], abs=1e-6)
     world = initial_world(controlled.model, controlled.initial_qpos, controlled.initial_ctrl)
     assert np.asarray(world.act) == pytest.approx(data.act, abs=1e-6)

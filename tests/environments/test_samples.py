@@ -11,7 +11,7 @@ from neoworld_mjx.commands.object_commands import CheckCommand
 from neoworld_mjx.commands.policy_commands import SampleCommand
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.environments.contact_draws import SceneContacts
-from neoworld_mjx.environments.samples import SceneSamples
+from neoworld_mjx.environments.samples import MAX_PX, SceneSamples
 from neoworld_mjx.errors import RunError, SpecError
 from neoworld_mjx.measure import measured
 from neoworld_mjx.physics.model import compile_for_simulation, compile_scene
@@ -312,6 +312,9 @@ def test_a_draw_that_leaves_its_pixels_is_refused():
     assert {samples.reasons[k] for k in refused} == {"one leaves its pixels"}
     assert samples.shift_px[refused, 1].min() > samples.shift_px[samples.kept, 1].max()
     assert len(nw.sample(scene, 12, options=OPTIONS, max_px=1e3).kept) == 12
+    for more in range(3):  # Among them a draw that leaves them by less than a pixel.
+        found = nw.sample(scene, 12, options=OPTIONS, redraws=0, max_px=MAX_PX + more)
+        assert found.at_fault[:, 1].tolist() == [bool(reason) for reason in found.reasons]
 
 
 def test_each_draw_has_its_camera_if_the_camera_is_uncertain():

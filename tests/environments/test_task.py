@@ -157,17 +157,31 @@ def test_a_joint_is_turned_from_where_it_is(scene):
     assert [bool(on.success(s)) for s in states] == [False, False, True]
 
 
+def test_the_reward_at_the_goal_is_the_same_wherever_the_tool_is(scene):
+    task = tasks.open_joint(scene, "cabinet-drawer", 0.8)
+    slide = 0.9 * scene.object("cabinet").spec.joint("slide").upper
+    rewards, place = [], HAND.pos
+    for _ in range(2):
+        on = task.on(controlled_scene(task.scene, gripper=nw.Gripper(place)))
+        state = state_of(on.controlled, cabinet__slide=slide)
+        rewards.append(float(on.reward(None, np.zeros(7), state, None)))
+        place = tuple(tasks.StateView(on.controlled, state).point(task.point).tolist())
+    assert rewards == pytest.approx([2.0, 2.0], abs=1e-3)
+
+
 def test_violations_of_a_goal_add_up(scene):
     task = tasks.place(scene, "board", on="cabinet")
     controlled = controlled_scene(scene, gripper=HAND)
     cabinet = tasks.StateView(controlled, state_of(controlled)).pose("cabinet")[0]
 
-    def distance(aside, up):
+    def distance(aside, up, goal=task.goal):
         at = cabinet + task.goal.target - task.goal.point + [aside, 0, up]
         view = tasks.StateView(controlled, state_of(controlled, board=[*at, 1, 0, 0, 0]))
-        return float(task.goal.distance(view))
+        return float(goal.distance(view))
 
     beside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
     assert distance(0.0, 0.0) == 0
     assert 0.15 < beside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
     assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(beside + above)
+    lying = task.goal.model_copy(update={"tilt": (1.5, 3.0)})
+    assert distance(0.0, 0.1, lying) == pytest.approx(above + 0.1 * 1.5)

@@ -190,6 +190,7 @@ def test_a_misjudged_field_of_view_comes_back(degrees):
     result = align(wrong, desk.photograph(scene))
     assert abs(off(result.scene)) < 4.0
     assert result.fovy_deg == pytest.approx(off(result.scene) - degrees)
+    assert result.to_json()["fovy_deg"] == round(result.fovy_deg, 5)
     assert max(desk.distances(wrong, scene).values()) > 150
     assert max(desk.distances(result.scene, scene).values()) < 80
     line = camera_change(wrong.camera, result.scene.camera, [result])

@@ -4,16 +4,21 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from neoworld_mjx.estimate.prior import (
     ACROSS,
     DEPTH,
     FIXED_YAW,
+    LOG_FOCAL,
+    LOG_FOCAL_MISJUDGED,
     LOG_SIZE,
     LOG_STRETCH,
+    MISJUDGED,
     PITCH,
     YAW,
     camera_deviations,
+    is_misjudged,
     prior_precision,
 )
 from neoworld_mjx.estimate.unknowns import FOCAL, STRETCH, TILT
@@ -24,6 +29,16 @@ from tests.estimate import desk
 def precision(unknowns, x):
     now = unknowns.place(x[None])[0]
     return now, prior_precision(unknowns, now, x, camera_deviations((), {}, misjudged=False))
+
+
+@pytest.mark.parametrize("deviation", [0.0, 0.05])
+def test_a_field_of_view_is_misjudged_where_the_wider_part_of_its_prior_is_larger(deviation):
+    offs = np.linspace(0.0, 0.3, 31)
+    wide, narrow = (
+        norm(scale=math.hypot(sd, deviation)).pdf(offs) for sd in (LOG_FOCAL_MISJUDGED, LOG_FOCAL)
+    )
+    expected = MISJUDGED * wide > (1 - MISJUDGED) * narrow
+    assert [is_misjudged(off, deviation) for off in offs.tolist()] == expected.tolist()
 
 
 def test_places_deviate_by_their_distance_along_and_across_the_view():

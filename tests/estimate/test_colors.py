@@ -48,6 +48,15 @@ def test_known_colors(rgb, lab):
     assert to_lab(np.array([[rgb]], np.uint8))[0, 0] == pytest.approx(lab, abs=0.1)
 
 
+def test_each_neighbor_has_the_colors_of_its_own_part_of_the_ring():
+    owner = np.full((120, 160), 1)
+    owner[:, 80:] = 2
+    bins = np.where(owner == 1, bin_of(GRAY), bin_of(BLUE))
+    owner[disc(owner.shape, (80, 60), 20)] = 0
+    behind = color_models(owner, bins, 0, 2).behind
+    assert behind[1].argmax() == bin_of(GRAY) and behind[2].argmax() == bin_of(BLUE)
+
+
 def test_the_inside_model_is_that_of_the_band_near_the_contour():
     """A plate whose middle looks like the table."""
     shape, middle, margin = (240, 320), (160, 120), 3

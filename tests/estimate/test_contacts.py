@@ -43,6 +43,16 @@ def test_the_gap_is_the_signed_distance_and_its_derivative_moves_it(gap):
     assert expected == pytest.approx(0.003, abs=1e-6)
 
 
+def test_the_first_object_of_a_scene_has_contacts_too():
+    """It is a wall 6 mm in front of the block."""
+    scene = pair(0.1)
+    table, wall, far = scene.objects
+    update = {"parent": None, "environment": True, "xy": (0.894, 0.0), "z": 0.0}
+    objects = (wall.model_copy(update=update), table, far)
+    _, result = found(scene.model_copy(update={"objects": objects}))
+    assert result.gap.tolist() == [pytest.approx(0.006, abs=1e-6)]
+
+
 def test_sizes_give_way():
     unknowns, result = found(pair(-0.004))
     larger = np.zeros(unknowns.size)

@@ -95,6 +95,19 @@ def test_jacobian_matches_the_change_of_residuals(five):
         assert rows.jacobian[:, u] == pytest.approx(slope, abs=20 * STEP)
 
 
+def test_a_grown_object_deviates_like_one_that_is_as_large(five):
+    image, k = DepthImage(depth_of(five, 320)), five.index("tower")
+    grown = desk.displaced(five, tower=(0.0, 0.0, 0.0, 60.0))
+    unknowns = desk.unknowns_of(five)
+    x = unknowns.values_of(grown)
+    now = unknowns.place(x[None])[0]
+    depth = SceneDepth.of(image, None, unknowns, now, unknowns.draw(now, 320))
+    again, written = depth_at_start(grown, image)
+    expected = written.evidence(again.neighbors(np.zeros(again.size)), k, 0.1)
+    found = depth.evidence(unknowns.neighbors(x), k, 0.1)
+    assert found.weight == pytest.approx(expected.weight, rel=1e-6)
+
+
 @pytest.mark.parametrize("kind", ["affine", "disparity"])
 def test_rows_of_scale_and_shift_match_the_change_of_residuals(five, kind):
     true = depth_of(five, 320)
@@ -210,6 +223,14 @@ def test_objects_without_evidence_keep_their_place_before_the_camera(five, photo
         assert world_poses(found)[name].pos[:2] == pytest.approx(expected[:2], abs=0.01)
 
 
+def test_a_near_support_may_be_uneven_by_millimeters(five):
+    """By waves of 7 mm, which are larger than the deviation of the sensor at this distance."""
+    near = five.model_copy(update={"camera": desk.CAMERA.model_copy(update={"height": 0.25})})
+    values = depth_of(near) * (1 + 0.007 / 0.25 * np.sin(np.arange(640) / 12))
+    plane = support_plane(depth_at_start(near, DepthImage(values))[1])
+    assert plane.height == pytest.approx(0.25, abs=0.002)
+
+
 def test_no_plane_without_a_level_support(five):
     """A depth image of a wall in front of the camera."""
     wall = np.full((480, 640), 0.7)
@@ -261,16 +282,37 @@ def test_colors_do_not_overrule_a_sensor(five):
     assert desk.distances(aligned.scene, five)["can"] < desk.distances(moved, five)["can"] / 2
 
 
-def test_object_far_off_starts_from_its_box(five):
-    """Drawn where the photograph shows something else, it is found by its 2D box."""
-    moved = desk.displaced(desk.boxed(five), box=(150.0, -120.0, 0.0, 10.0))
-    _, depth = depth_at_start(moved, DepthImage(depth_of(five)))
+@pytest.mark.parametrize("near", [False, True])
+def test_object_far_off_starts_from_its_box(five, near):
+    """Drawn where the photograph shows something else, its 2D box finds it."""
+    moved, values = desk.displaced(desk.boxed(five), box=(150.0, -120.0, 0.0, 10.0)), depth_of(five)
     k = moved.index("box")
+    values[(desk.drawn(five, 640).owner != k) & near] = 0.4
+    _, depth = depth_at_start(moved, DepthImage(values))
     place = place_by_depth(depth, k)
     world = desk.CAMERA.position() + desk.CAMERA.axes() @ place.origin
     true = world_poses(five)["box"].pos
     assert np.linalg.norm((world - true)[:2]) < 0.03
     assert abs(math.log(place.ratio) + math.log(1.1)) < 0.15
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_an_object_starts_at_the_distance_of_what_its_box_shows(five, hidden):
+    """Without a box, of all of it; the part beyond the box is hidden by something else."""
+    values, k = 1.06 * depth_of(five), five.index("box")
+    box = desk.boxed(five).objects[k].box2d
+    x1, y1 = (round(a + 0.6 * (b - a)) for a, b in ((box.x0, box.x1), (box.y0, box.y1)))
+    beyond = desk.drawn(five, 640).owner == k
+    beyond[:y1, :x1] = False
+    values[beyond & hidden] *= 1.3
+    part = box.model_copy(update={"x1": x1, "y1": y1}) if hidden else None
+    objects = list(five.objects)
+    objects[k] = objects[k].model_copy(update={"box2d": part})
+    scene = five.model_copy(update={"objects": tuple(objects)})
+    place = place_by_depth(depth_at_start(scene, DepthImage(values))[1], k)
+    offset = (world_poses(five)["box"].pos - desk.CAMERA.position()) @ desk.CAMERA.axes()
+    assert place.ratio == pytest.approx(1.06, rel=5e-3)
+    assert place.origin == pytest.approx(1.06 * offset, abs=0.005)
 
 
 def test_wall_moves_to_its_measured_distance(five):

@@ -61,6 +61,12 @@ def test_pieces_of_one_line_are_joined_across_a_gap():
     assert len(line_segments(far, *upright()).length) == 4
 
 
+def test_a_bent_edge_is_two_lines():
+    found = line_segments(drawn(((100, 30), (112, 120)), ((112, 120), (100, 210))), *upright())
+    slope = math.degrees(math.atan2(12, 90))
+    assert sorted(degrees(found)) == pytest.approx([-slope] * 2 + [slope] * 2, abs=0.6)
+
+
 def test_noise_alone_has_no_lines():
     noise = np.random.default_rng(0).normal(128, 20, (*SIZE, 3))
     found = line_segments(np.clip(noise, 0, 255).astype(np.uint8), *upright())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.estimate.rows.linear import image_jacobian
-from neoworld_mjx.estimate.unknowns import CAMERA, EACH
+from neoworld_mjx.estimate.unknowns import CAMERA, EACH, FOCAL, Unknowns
 from neoworld_mjx.spec import bounds, world_poses
 from neoworld_mjx.spec.pose import matrix
 from tests.estimate import desk
@@ -98,17 +98,44 @@ def test_the_written_scene_is_the_placed_one(make):
             assert now.local(k, now.world(k, points)) == pytest.approx(points, abs=1e-12)
 
 
-def test_a_standing_object_keeps_its_clearance_while_it_and_its_support_grow():
+@pytest.mark.parametrize("turn", [0.0, math.pi / 2])
+def test_a_standing_object_keeps_its_clearance_while_it_and_its_support_grow(turn):
+    """One that lies on its side has its origin there, not at its lowest point."""
     scene = scenes.blocks()
+    k, lying = scene.index("high"), (math.cos(turn / 2), math.sin(turn / 2), 0.0, 0.0)
+    low = bounds(scene.objects[k].spec, {}, lying)[0][2]
+    high = scene.objects[k].model_copy(update={"base_tilt": lying, "z": 0.06 - low})
+    scene = scene.model_copy(update={"objects": (*scene.objects[:k], high, scene.objects[-1])})
     unknowns = desk.unknowns_of(scene)
     x = np.zeros(unknowns.size)
     x[unknowns.columns(scene.index("low"))] = (0.01, 0, 0, 0.1)
     x[unknowns.columns(scene.index("high"))] = (0, 0.01, 0, -0.2)
     after = unknowns.scene_at(x)
     low, high = (world_poses(after)[name].pos for name in ("low", "high"))
-    bottom = lambda o: bounds(after.object(o).spec)[0][2]
+    bottom = lambda o: bounds(after.object(o).spec, {}, after.object(o).base_tilt)[0][2]
     assert low[2] + bottom("low") == pytest.approx(0.0, abs=1e-9)
     assert high[2] + bottom("high") == pytest.approx(0.06 * math.exp(0.1), abs=1e-9)
+
+
+def test_a_near_scene_keeps_its_place_in_the_picture_while_the_field_of_view_changes():
+    """It is nearer than 1 m."""
+    near = desk.CAMERA.model_copy(update={"xy": (0.5, 0.0), "height": 0.3})
+    scene = desk.on_desk((desk.can("can", 0.04, 0.1, "red"), (0.05, 0.1), 0.0, {}), camera=near)
+    unknowns = desk.unknowns_of(scene)
+    x = np.zeros(unknowns.size)
+    x[FOCAL] = 0.3
+    before, after = unknowns.place(np.stack([0 * x, x]))
+    pixel, there = (now.camera.project(now.pos[1])[0] for now in (before, after))
+    assert there == pytest.approx(pixel, abs=0.5)
+
+
+def test_a_support_does_not_grow_to_raise_an_object():
+    scene = scenes.blocks()
+    unknowns = Unknowns.of(scene, scene.camera, rises=True)
+    low, high = (scene.index(name) for name in ("low", "high"))
+    used, (*place, size) = unknowns.columns_of(high), range(unknowns.size)[unknowns.columns(low)]
+    assert size not in used
+    assert {*place, *unknowns.rise_columns(low), *unknowns.rise_columns(high)} < {*used}
 
 
 def check_jacobian(unknowns, x, k):

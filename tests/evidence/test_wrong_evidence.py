@@ -8,11 +8,13 @@ import pytest
 from PIL import Image
 
 from neoworld_mjx.errors import EvidenceError
-from neoworld_mjx.evidence.consistency import check_evidence
+from neoworld_mjx.evidence.consistency import check_distances, check_evidence
+from neoworld_mjx.evidence.depth_image import DepthImage
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.evidence_file import StatedEvidence, evidence_of
 from neoworld_mjx.evidence.masks import Masks
-from neoworld_mjx.spec import Camera
+from neoworld_mjx.spec import Box2D, Camera
+from tests.evidence.test_known_camera import tree as response
 from tests.support.made_up_view import HEIGHT, WIDTH, depth, labels, picture
 
 LENS = {"fx": 300.0, "fy": 300.0, "cx": 159.5, "cy": 119.5}
@@ -150,6 +152,9 @@ FILES = {
         {"depth.npy": of_another_photograph},
         "edges are not those of the photograph: it is of another photograph",
     ),
+    "mirrored": ({"depth.npy": lambda: depth()[:, ::-1].copy()}, "flip it from left to right"),
+    "upside down": ({"depth.npy": lambda: depth()[::-1].copy()}, "flip it upside down"),
+    "half a turn": ({"depth.npy": lambda: depth()[::-1, ::-1].copy()}, "turned by 180 degrees"),
     "swapped fx and fy": (
         {"camera.json": lambda: LENS | {"fx": 300.0, "fy": 225.0}},
         "fx and fy are swapped",
@@ -198,6 +203,17 @@ def test_wrong_scales_and_masks_of_a_folder_are_named(tmp_path):
     written(tmp_path / "masks", "mug.png", 0 * labels())
     with pytest.raises(EvidenceError, match=r"mug\.png is empty"):
         read({"masks": str(tmp_path / "masks")})
+
+
+def test_depths_are_compared_with_the_distances_of_the_response_at_any_size():
+    """At half its size, at which only the boxes show something."""
+    tree, values = response(), np.full((240, 320), np.nan)
+    values[100:140, 150:200] = 1.0
+    box = {"box2d": Box2D(x0=300.0, y0=200.0, x1=400.0, y1=280.0)}
+    tree = tree.model_copy(update={"nodes": tuple(n.model_copy(update=box) for n in tree.nodes)})
+    check_distances(DepthImage(values, "metric"), tree)
+    with pytest.raises(EvidenceError, match=r"0\.00091 times the distances"):
+        check_distances(DepthImage(0.001 * values, "metric"), tree)
 
 
 def test_swapped_cx_and_cy(tmp_path):

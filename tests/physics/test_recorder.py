@@ -56,6 +56,12 @@ def test_a_decelerating_object_settles_and_an_accelerating_one_does_not(blocks):
     assert faster == (RolloutStatus.OK, 250)
 
 
+def test_what_stays_far_off_without_coming_to_rest_settles(blocks):
+    quiver = lambda k: 0.02 + 0.01 * (k % 2)
+    gone = lambda k: 0.02 if k >= 4 else 0.0
+    assert steps_until_stopped(blocks, speed=quiver, away=gone)[0] == RolloutStatus.SETTLED
+
+
 def test_only_records_beyond_the_bounds_make_a_candidate_invalid(blocks):
     quiver = lambda k: 0.02 + 0.01 * (k % 2)
     back = lambda k: 0.02 if k == 4 else 0.0

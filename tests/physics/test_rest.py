@@ -192,6 +192,8 @@ def test_candidates_fall_from_their_poses_side_by_side(three):
     assert np.delete(rested.drift[1], ball).max() < 1e-3
     assert np.isnan(rested.drift[2]).all() and rested.depths[2] == {}
     np.testing.assert_array_equal(rested.poses.pos, poses.pos)
+    assert rested.depths[1] == rested.end_depths[2] == {}
+    assert ("table", "ball") in rested.end_depths[1].keys() & rested.end_depths[0].keys()
     alone = rest(world, poses[:1], hold=None, free_s=0.5)
     np.testing.assert_array_equal(alone.drift[0], rested.drift[0])
 

@@ -40,6 +40,13 @@ def test_points_lie_on_the_whole_surface(kind):
     assert gap.max() < 0.8 * np.sqrt(np.prod(np.sort(np.ptp(other, axis=0))[1:]) / 8)
 
 
+def test_points_keep_apart_from_each_other_and_from_those_at_edges():
+    cube = SceneObject(name="one", spec=scenes.single("one", (Box(size=(0.1,) * 3), (0, 0, 0))))
+    points = surface_samples(cube, 64)
+    gaps = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(64)
+    assert gaps.min() > 0.02  # 64 points in a square grid would be 0.03 apart.
+
+
 def test_pieces_have_points_by_their_areas():
     thin = (Cylinder(radius=0.002, height=0.2), (0, 0, 0.2))
     board = (Box(size=(0.2, 0.2, 0.02)), (0, 0, 0))

@@ -150,3 +150,13 @@ def test_pairs_and_single_objects_are_scored(two_blocks):
     pair = (0.5 + relative + 0.5 + 0.6) / 4
     expected = pair + (1 + (box + 1) / 2) / 2 / 4
     assert found[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_offsets_of_concentric_objects_are_compared_with_their_sizes(two_blocks):
+    around = lambda x, side: (x - side / 2, -side / 2, x + side / 2, side / 2)
+    boxes, seen = (around(0, 20), around(0, 40)), (around(4, 20), around(0, 40))
+    # The larger one is 40 px wide, so 4 px are a fifth of its half; 45 degrees count nothing.
+    turn = score(2 * np.arcsin(4 / 20 / 2), np.pi / 4)
+    box = score(4 / 2 / 20, 0.25)
+    expected = (0.5 + 1 + turn / 2 + 1) / 4 + ((box + 1) / 2 + 1) / 2 / 4
+    assert total_of(two_blocks, boxes=boxes, seen=seen) == pytest.approx(expected, abs=1e-5)
