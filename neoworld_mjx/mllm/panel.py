@@ -123,6 +123,8 @@ class Panel:
         self._tape = _open_record(self._record, photo, made)
         self._slots = asyncio.Semaphore(self.options.concurrency)
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._sent: set[asyncio.Task[Any]] = set()
+        """Tasks whose request has been sent, for which money may be due."""
         self._in_flight, self._since, self._waited_s = 0, 0.0, 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
@@ -151,7 +153,8 @@ class Panel:
     def ask_soon(self, request: Request[T]) -> "concurrent.futures.Future[Response[T]]":
         """Return a future of the response, from any thread.
 
-        If the future is canceled, the request continues, so that a paid response is recorded.
+        If the future is canceled, a request that has been sent continues, so that a paid response
+        is recorded; one that waits for another to end is not sent.
         """
         with self._lock:
             if self._loop is None:
@@ -195,7 +198,13 @@ class Panel:
         task = asyncio.ensure_future(self._respond(request))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-        return await asyncio.shield(task)
+        task.add_done_callback(self._sent.discard)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if task not in self._sent:
+                task.cancel()
+            raise
 
     async def _respond(self, request: Request[T]) -> Response[T]:
         recorded = self._tape.get(request) if self._record is not None else None
@@ -237,7 +246,10 @@ class Panel:
         self, request: Request[Any], role: RoleOptions, rejected: Sequence[Rejection]
     ) -> Reply:
         """Make a call within the limits, and add it to the ledger."""
+        task = asyncio.current_task()
+        assert task is not None
         if not self.provider.online:
+            self._sent.add(task)
             with self._waiting():
                 reply = await self._reply(request, role, rejected)
             self.ledger.add(request.role, reply.model, reply.usage or Usage(), billed=False)
@@ -247,6 +259,7 @@ class Panel:
         with self._waiting():
             async with self._slots, self.ledger.reserve(request, role.model, bound):
                 spent, failed = Usage(), True
+                self._sent.add(task)
                 try:
                     async with asyncio.timeout(limit_s):
                         reply = await self._reply(request, role, rejected)

@@ -254,6 +254,9 @@ class SemanticScorer:
         }
 
     def close(self) -> None:
-        """Abandon scores that have not been collected; a paid response is still recorded."""
+        """Abandon scores that have not been collected.
+
+        Responses to requests that have been sent are still recorded; the others are not sent.
+        """
         for future in self._pending.values():
             future.cancel()

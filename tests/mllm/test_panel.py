@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 import time
 from typing import Any
 
@@ -126,6 +127,26 @@ def test_concurrent_calls_are_limited(connect, make):
     server, panel = connect("anthropic", slow, concurrency=3)
     ask_all(panel, [make.request(prompt=str(i)) for i in range(8)])
     assert server.most_at_once == 3
+
+
+def test_canceled_requests_that_wait_are_not_sent_and_the_sent_one_is_paid(connect, make):
+    arrived, go_on = threading.Event(), threading.Event()
+
+    def held(server, connection, body):
+        arrived.set()
+        go_on.wait(10)
+        says()(server, connection, body)
+
+    server, panel = connect("anthropic", held, concurrency=1)
+    futures = [panel.ask_soon(make.request(prompt=f"waits {i}")) for i in range(3)]
+    assert arrived.wait(10)
+    for future in futures:
+        future.cancel()
+    go_on.set()
+    panel.ask_sync(make.request(prompt="after"))
+    (first, last), texts = server.bodies, [f"waits {i}" for i in range(3)]
+    assert sum(text in json.dumps(first) for text in texts) == 1 and "after" in json.dumps(last)
+    assert panel.ledger.calls == 2
 
 
 def test_one_panel_serves_several_event_loops(connect, make):
