@@ -64,8 +64,8 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
                 name=name + (f"-{axis}" if axis else ""),
                 joint=name,
                 axis=axis,
-                stiffness=round_to(inertia * RATE**2, 4),
-                damping=round_to(2 * inertia * RATE, 4),
+                stiffness=rounded(inertia * RATE**2),
+                damping=rounded(2 * inertia * RATE),
                 range=(joint.lower, joint.upper) if limited else None,
                 effort=joint.effort,
                 target=_target(data.joint(name).qpos, axis),
@@ -90,6 +90,6 @@ def _target(qpos: np.ndarray, axis: str) -> float:
     return float(vector["xyz".find(axis)])
 
 
-def round_to(value: float, digits: int) -> float:
-    """Round a value to `digits` significant digits."""
-    return float(f"{value:.{digits}g}")
+def rounded(value: float) -> float:
+    """Round a value to 4 significant digits."""
+    return float(f"{value:.4g}")

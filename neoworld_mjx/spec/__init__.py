@@ -29,6 +29,7 @@ from .scene import (
     support_frame,
     with_layout,
     with_world_poses,
+    world_bounds,
     world_poses,
 )
 from .shapes import (
@@ -113,5 +114,6 @@ __all__ = [
     "support_frame",
     "with_layout",
     "with_world_poses",
+    "world_bounds",
     "world_poses",
 ]

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from neoworld_bench.dataset.settle_scene import failures
-from neoworld_bench.methods.method_runs import RunSettings
+from neoworld_bench.methods.method_runs import MethodJob, RunSettings
 from neoworld_bench.tables.task_figures import success_interval, task_summary
 from neoworld_bench.tasks import (
     TaskPlan,
@@ -28,7 +28,7 @@ from neoworld_bench.tasks.model_plans import (
     scene_of_method,
 )
 from neoworld_bench.tasks.plan_reliability import sampled_plans
-from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
+from neoworld_bench.tasks.success_runs import SuccessRow, success_rows
 from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
 
 from neoworld_mjx import cli
@@ -145,7 +145,7 @@ def test_plans_transform_with_the_scene(name):
 
 @pytest.mark.slow
 def test_exact_response_leads_to_task_success():
-    (row,) = run_successes([TASK], ["open_loop"], EXACT, starts=1)
+    (row,) = success_rows(MethodJob(TASK.name, 0, ("open_loop",), EXACT, 1))
     assert row.on_truth and row.in_scene and row.valid and row.missed == 0
     assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
 
@@ -157,7 +157,7 @@ def test_an_error_after_the_layout_is_a_row_and_ends_no_run(monkeypatch, part):
 
     monkeypatch.setattr(success_runs, part, fail)
     settings = dataclasses.replace(EXACT, samples=2)
-    (row,) = run_successes([TASK], ["open_loop"], settings, starts=1)
+    (row,) = success_rows(MethodJob(TASK.name, 0, ("open_loop",), settings, 1))
     assert not row.on_truth and row.reason == "no result: ValueError: broken"
 
 
