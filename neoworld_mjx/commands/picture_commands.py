@@ -67,7 +67,7 @@ class PreviewCommand(Command):
                 if path == file:
                     raise SpecError(f"{file}: no such file; write the response first") from None
                 texts.append("")
-            except (OSError, UnicodeDecodeError) as error:
+            except OSError as error:
                 raise SpecError(f"cannot read {path}: {error}") from None
         shown = preview(load_photo(photo, LARGEST_PX), *texts)
         out = self.out or folder / "preview.png"

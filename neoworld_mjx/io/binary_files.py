@@ -55,7 +55,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
                 for m in members
             }
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,
-            NotImplementedError, SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
+            SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
         raise error(f"{path} holds no readable arrays: {problem}") from None
 
 
