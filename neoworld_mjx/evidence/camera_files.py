@@ -188,11 +188,8 @@ def _with_lens(
 
 
 def _numbers(text: str, path: Path) -> NDArray:
-    try:
-        rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-        return np.array([[float(number) for number in row] for row in rows])
-    except ValueError:
-        raise EvidenceError(f"{path} is not a matrix of numbers") from None
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    return _array(rows, path)
 
 
 def _array(value: object, path: Path) -> NDArray:
@@ -206,7 +203,6 @@ def _matrix(matrix: NDArray, path: Path) -> CameraFile:
     """Read the 3 x 3 matrix of intrinsics, or the 4 x 4 matrix of a pose."""
     if matrix.dtype.kind not in "fiu" or not np.isfinite(matrix).all():
         raise EvidenceError(f"{path} is not a matrix of finite numbers")
-    matrix = matrix.astype(float)
     if matrix.size == 9:
         k = matrix.reshape(3, 3)
         if abs(k[2] - [0, 0, 1]).max() > 1e-6 or abs(k[1, 0]) > 1e-6:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..physics.mjcf import START, to_mjspec
+from ..physics.mjcf import start_data, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 
 RATE = 20.0
@@ -53,7 +53,8 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
     ]
     if not driven:
         return ()
-    model, data = _posed(scene)
+    model = to_mjspec(scene).compile()
+    data = start_data(model)
     result = []
     for name, joint, axis in driven:
         dof = model.joint(name).dofadr[0] + max("xyz".find(axis), 0)
@@ -72,13 +73,6 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
             )
         )
     return tuple(result)
-
-
-def _posed(scene: SceneSpec | ObjectSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = to_mjspec(scene).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
-    return model, data
 
 
 def _target(qpos: np.ndarray, axis: str) -> float:

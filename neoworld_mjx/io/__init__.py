@@ -5,7 +5,7 @@ readers of XML and meshes are in `export`. All readers open files with `files.re
 the limits of `FileOptions`, and report a file that they cannot read in a single message.
 """
 
-from .binary_files import open_image, read_arrays
+from .binary_files import open_image, read_arrays, read_untrusted_bytes
 from .limited_worker import bounded_by, file_bounds, set_file_bounds
 from .text_files import read_json, read_model, read_object, read_untrusted_text
 
@@ -17,6 +17,7 @@ __all__ = [
     "read_json",
     "read_model",
     "read_object",
+    "read_untrusted_bytes",
     "read_untrusted_text",
     "set_file_bounds",
 ]

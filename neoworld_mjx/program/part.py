@@ -234,8 +234,9 @@ class Part:
 
     name: str
 
-    def __init__(self, owner: Any, name: str, material: str | None, mass: float | None):
-        self._owner, self._material, self._mass = owner, material, mass
+    def __init__(self, owner: Any, name: str, material: str | None):
+        self._owner, self._material = owner, material
+        self._mass: float | None = None
         self._geoms: list[Geom] = []
         self._named: set[str] = set()
         self._line = current_line()
