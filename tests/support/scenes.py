@@ -77,6 +77,11 @@ def single(name, *shapes, material=WOOD):
     return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 
+def block(name, size=(0.06, 0.06, 0.06)):
+    """A wooden box with edges of `size` [m]."""
+    return single(name, (Box(size=size), (0, 0, 0)))
+
+
 def table(size=(0.6, 0.8, 0.04)):
     return single("table", (Box(size=size), (0, 0, 0)))
 
