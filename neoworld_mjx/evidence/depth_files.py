@@ -61,14 +61,12 @@ def read_depth(
         )
     if scale is not None and not (0 < scale < np.inf):
         raise EvidenceError(f"{path}: scale {scale:g} must be positive, in meters per unit")
-    if kind == "metric":
-        scale = (PNG_SCALE if image else 1.0) if scale is None else scale
-        values = values.astype(float) * scale
-    else:
-        values = values.astype(float) * (scale or 1.0)
-    missing = ~np.isfinite(values) | (values == 0) if kind != "affine" else ~np.isfinite(values)
+    if scale is None:
+        scale = PNG_SCALE if image and kind == "metric" else 1.0
+    values = values.astype(float) * scale
+    missing = ~np.isfinite(values)
     if kind != "affine":
-        missing |= values < 0
+        missing |= values <= 0
     values = np.where(missing, np.nan, values)
     if not np.isfinite(values).any():
         raise EvidenceError(f"{path} has no values: all of its pixels are 0 or not finite")

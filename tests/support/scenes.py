@@ -243,17 +243,3 @@ def random_layout(scene, pop, seed=0, spread=0.3):
         np.asarray(rng.normal(0, 0.3, (pop, n)) * free, np.float32),
         np.asarray(rng.uniform(-spread, spread, (pop, n)) * free, np.float32),
     )
-
-
-def noisy_layouts(scene, pop, *, seed=0, xy=0.14, yaw=np.pi / 12, log_scale=0.1):
-    """Layouts with Gaussian noise; xy is a share of the object's horizontal diagonal."""
-    free = np.asarray(scene.optimised, float)
-    normal = np.stack(
-        [np.random.default_rng((seed, k)).normal(size=(4, len(free))) for k in range(pop)]
-    )
-    offset = normal[:, :2].transpose(0, 2, 1) * (xy * np.asarray(scene.diagonal))[:, None]
-    return Layout(
-        np.asarray(offset * free[:, None], np.float32),
-        np.asarray(normal[:, 2] * yaw * free, np.float32),
-        np.asarray(normal[:, 3] * log_scale * free, np.float32),
-    )

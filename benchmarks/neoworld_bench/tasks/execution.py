@@ -1,7 +1,7 @@
 """Execution of plans in MuJoCo, and evaluation of predicates."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -28,7 +28,7 @@ Watch = Callable[[World, float], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a plan, or of waiting."""
+    """Outcome of a plan."""
 
     success: bool
     reason: str
@@ -39,8 +39,6 @@ class Outcome:
     """Share of the states of the last second that fulfil the predicate."""
     seconds: float = 0.0
     """Simulated time [s]."""
-    drift_m: float = 0.0
-    """Maximum displacement of an object while waiting [m]."""
 
 
 def execute(
@@ -75,21 +73,6 @@ def execute(
         if world.diverged():
             return Outcome(False, "the simulation diverged", 0.0, 0.0, world.data.time)
     return judge(world, predicate, SETTLE_S, watch)
-
-
-def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcome:
-    """Simulate a scene without a gripper and evaluate the predicate over the last second."""
-    world = World(scene, None)
-    start = {item.name: world.pose(item.name).pos for item in scene.objects}
-    drift = 0.0
-
-    def watch(now: World, _: float) -> None:
-        nonlocal drift
-        moved = (np.linalg.norm(now.pose(name).pos - at) for name, at in start.items())
-        drift = max(drift, *(float(distance) for distance in moved))
-
-    outcome = judge(world, predicate, max(0.0, seconds - HOLD_S), watch)
-    return replace(outcome, drift_m=drift)
 
 
 def judge(

@@ -161,8 +161,6 @@ BESIDE_DEG = (0.0, 30.0, -30.0, 60.0, -60.0)
 """Views, counted from the front of objects, which is +x in a task's scene."""
 LEAST_SHOWN = 0.5
 """Share of every object that a view should show: the first that does is taken."""
-VIEW = (PITCH, FOVY, MARGIN, *BESIDE_DEG, LEAST_SHOWN)
-"""The rule's numbers."""
 
 
 class TaskPhoto(NamedTuple):
