@@ -53,9 +53,7 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
     return output.printed, build_object(output.scene, session, options)
 
 
-def build_object(
-    scene: BlenderScene, session: Session, options: ProgramOptions | None = None
-) -> list[Signal]:
+def build_object(scene: BlenderScene, session: Session, options: ProgramOptions) -> list[Signal]:
     """Create the object of an untrusted scene in a session, and return errors and warnings.
 
     Args:
@@ -63,7 +61,6 @@ def build_object(
         session: collects the object and counts the resources that it uses.
         options: limits the time for splitting shapes into convex pieces (`blender_timeout_s`).
     """
-    options = options or ProgramOptions()
     if scene.error is not None:
         return [_raised(scene)]
     try:
