@@ -180,7 +180,7 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
         refine_options=config.refine,
         engine=o.engine,
     )
-    jobs = {str(n): partial(steps, (n,)) for n in chosen_numbers(o.scenes)}
+    jobs = {str(n): partial(steps, n) for n in chosen_numbers(o.scenes)}
     with kept_rows(o, config) as store:
         rows = store.all(jobs)
     return {**photo_summary(rows), "rows": plain(rows)}
