@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from neoworld_bench.engines import table_scenes
 
 from neoworld_mjx.physics import model
 from neoworld_mjx.physics.layout import Layout
@@ -15,14 +16,12 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    GeomSpec,
     HollowBox,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
     Operand,
-    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -63,18 +62,7 @@ def _compiled(scene, options):
 
 def single(name, *shapes, material=WOOD):
     """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
-    geoms = tuple(
-        GeomSpec(
-            name=f"g{k}",
-            shape=row[0],
-            pos=row[1],
-            quat=row[2] if len(row) > 2 else (1, 0, 0, 0),
-            material=material.name,
-        )
-        for k, row in enumerate(shapes)
-    )
-    part = PartSpec(name="body", geoms=geoms)
-    return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
+    return table_scenes.single(name, *shapes, material=material)
 
 
 def block(name, size=(0.06, 0.06, 0.06)):

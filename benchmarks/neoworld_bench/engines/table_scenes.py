@@ -168,9 +168,7 @@ def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[ObjectSpec, 
     return single(name, (shape, (0, 0, 0))), math.hypot(x, y) / 2
 
 
-def single(
-    name: str, *shapes: tuple[Any, ...], material: Material = WOOD, mass: float | None = None
-) -> ObjectSpec:
+def single(name: str, *shapes: tuple[Any, ...], material: Material = WOOD) -> ObjectSpec:
     """Return a rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
     geoms = tuple(
         GeomSpec(
@@ -182,7 +180,7 @@ def single(
         )
         for k, row in enumerate(shapes)
     )
-    part = PartSpec(name="body", geoms=geoms, mass=mass)
+    part = PartSpec(name="body", geoms=geoms)
     return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 
@@ -209,9 +207,9 @@ def _height(item: SceneObject) -> float:
     return float(high[2] - low[2])
 
 
-def block(name: str, x: float, y: float, z: float, **fields: Any) -> ObjectSpec:
+def block(name: str, x: float, y: float, z: float) -> ObjectSpec:
     """Return a wooden box with the given edges [m]."""
-    return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **fields)
+    return single(name, (Box(size=(x, y, z)), (0, 0, 0)))
 
 
 def polygon(corners: int, radius: float) -> tuple[tuple[float, float], ...]:
