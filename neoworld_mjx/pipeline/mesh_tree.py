@@ -10,7 +10,7 @@ objects would lead to another scene than was meant.
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from ..spec import (
     world_poses,
 )
 from ..spec.opening import opening_share
-from ..spec.pose import from_yaw, pose, rotate
+from ..spec.pose import from_yaw, pose, rotate, triple
 from ..spec.scale import scale, scaled_state
 from ..spec.scene import transformed_scene
 
@@ -134,8 +134,8 @@ def _node(item: SceneObject, scene: SceneSpec, parent: str | None, camera: Camer
         environment=item.environment,
         box2d=_box2d(camera, at.apply(corners)),
         box3d=Box3D(
-            position=cast(tuple[float, float, float], tuple(position.tolist())),
-            size=cast(tuple[float, float, float], tuple((high - low).tolist())),
+            position=triple(position),
+            size=triple(high - low),
             yaw=item.yaw,
         ),
         base_tilt=item.base_tilt,
@@ -148,7 +148,7 @@ def _states(item: SceneObject) -> list[PartState]:
     return [
         PartState(
             part=joint.name,
-            type=cast(Literal["revolute", "continuous", "prismatic"], joint.type),
+            type=joint.type,
             opening=opening_share(joint, item.joint_state[joint.name]),
         )
         for joint in item.spec.joints

@@ -14,6 +14,7 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
+from ...spec.pose import triple
 from ..part import Joint, Part, Shape
 from ..sandbox import exception_signal, limit_signal
 from ..sdk_object import Object
@@ -228,8 +229,7 @@ def _direction(value: list[float] | str | None) -> Any:
 
 def _rounded(values: list[float]) -> tuple[float, float, float]:
     """Round to 7 decimals, which is about the precision of Blender's floats."""
-    x, y, z = (np.round(values, 7) + 0.0).tolist()
-    return x, y, z
+    return triple(np.round(values, 7) + 0.0)
 
 
 def _prerequisite_names(joint: BlenderJoint) -> list[str]:
