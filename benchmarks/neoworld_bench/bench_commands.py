@@ -25,7 +25,7 @@ def check_numbers(options: Any) -> None:
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
-        zero = field.default in (0, None)
+        zero = field.default in (0, None, ())  # numbers of scenes begin with 0
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, bool) or not isinstance(number, int | float):
                 continue

@@ -20,9 +20,9 @@ from .rows import RowStore, collect, kept_rows, plain
 
 def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     """Run methods on the thirty scenes."""
-    from .methods.method_runs import run_settings
-    from .methods.scene_runs import chosen_scenes, submission_rows
-    from .methods.scene_runs import run_scenes as run_methods
+    from .methods.method_runs import run_jobs, run_settings
+    from .methods.scene_methods import check_methods
+    from .methods.scene_runs import SceneRow, chosen_scenes, scene_rows, submission_rows
     from .tables.scene_figures import scene_summary
 
     settings = run_settings(o, config, o.evidence)
@@ -30,25 +30,40 @@ def run_scenes(o: suites.SceneSet, config: Config) -> dict[str, Any]:
     if o.submission is not None:
         rows = collect(submission_rows(scenes, o.submission, settings))
         return {**scene_summary(rows), "rows": plain(rows)}
+    check_methods(o.method)
     with kept_rows(o, config) as store:
-        rows = run_methods(
-            scenes, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        rows = run_jobs(
+            scene_rows,
+            SceneRow,
+            starts=dict.fromkeys(scenes, range(o.starts)),
+            methods=o.method,
+            settings=settings,
+            machines=o.machines,
+            store=store,
         )
     return {**scene_summary(rows), "rows": plain(rows)}
 
 
 def run_tasks(o: suites.Tasks, config: Config) -> dict[str, Any]:
     """Plan tasks in reconstructed scenes, and execute the plans."""
-    from .methods.method_runs import run_settings
+    from .methods.method_runs import run_jobs, run_settings
+    from .methods.scene_methods import check_methods
     from .tables.task_figures import task_summary
     from .tasks.catalogue import find_tasks
-    from .tasks.success_runs import run_successes
+    from .tasks.success_runs import TRUTH, SuccessRow, success_rows
 
     settings = dataclasses.replace(run_settings(o, config, o.evidence), samples=o.samples)
     tasks = find_tasks(o.task)
+    check_methods(o.method, [TRUTH])
     with kept_rows(o, config) as store:
-        rows = run_successes(
-            tasks, o.method, settings, starts=o.starts, machines=o.machines, store=store
+        rows = run_jobs(
+            success_rows,
+            SuccessRow,
+            starts={task.name: range(o.starts) for task in tasks},
+            methods=o.method,
+            settings=settings,
+            machines=o.machines,
+            store=store,
         )
     return {**task_summary(rows), "rows": plain(rows)}
 
@@ -165,7 +180,7 @@ def run_photos(o: suites.Photos, config: Config) -> dict[str, Any]:
         refine_options=config.refine,
         engine=o.engine,
     )
-    jobs = {str(n): partial(steps, (n,)) for n in chosen_numbers(o.scenes)}
+    jobs = {str(n): partial(steps, n) for n in chosen_numbers(o.scenes)}
     with kept_rows(o, config) as store:
         rows = store.all(jobs)
     return {**photo_summary(rows), "rows": plain(rows)}

@@ -94,7 +94,7 @@ def check_joints(
     if len(sweep.ranges) > 1:
         checks.append(_combinations(sweep, free, options))
     probe.place({})
-    checks += _gaps(probe, options)
+    checks += _gaps(probe)
     checks += _pivots(probe)
     checks += _intents(spec)
     return JointChecks(checks, free, overlapping)
@@ -249,7 +249,7 @@ def _combinations(
     return make_check("joint_range", "depth:together", worst, limit, evidence=evidence)
 
 
-def _gaps(probe: Probe, options: VerifyOptions) -> Iterator[Check]:
+def _gaps(probe: Probe) -> Iterator[Check]:
     """Yield a check of the gap between each part and its parent, in the probe's present state."""
     low, high = bounds(probe.spec)
     size = float(np.linalg.norm(high - low))

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from shapely import MultiPoint, Point
 
-from ..config import VerifyOptions
 from ..physics.mjcf import START
 from ..spec import link_poses, pieces
 from ..spec.convex import Piece, box_around
@@ -212,7 +211,7 @@ def _falls(simulation: Simulation, trajectories: Sequence[Trajectory]) -> Iterat
         # A round object that is dropped with a tilt rolls, and nothing on a level floor stops it.
         tilted = name != "fall"
         if not (rolls and tilted):
-            speeds = np.linalg.norm(_last_steps(o, trajectory.qvel)[:, :3], axis=1)
+            speeds = np.linalg.norm(_last_steps(trajectory.qvel)[:, :3], axis=1)
             limit = Limit(MAX_REST_SPEED, "m/s", Fault.RESTLESS)
             yield _check(trajectory, f"resting_speed:{name}", speeds.min(), limit)
         yield from _free_run(simulation, trajectory, name)
@@ -275,7 +274,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
     A released joint must settle, a joint without forces must not move, and a coasting joint must
     lose speed.
     """
-    scenario, o = trajectory.scenario, simulation.options
+    scenario = trajectory.scenario
     name, joint = scenario.name, simulation.joint_of(scenario)
     position, dof = simulation.address(joint.name)
     span = joint.high - joint.low
@@ -294,7 +293,7 @@ def _release(simulation: Simulation, trajectory: Trajectory) -> Iterator[Check]:
         yield _check(trajectory, name, loss, limit, **names, time=COAST_S)
     else:
         if span < 2 * np.pi - 1e-6:
-            fastest = float(np.abs(_last_steps(o, trajectory.qvel)[:, dof]).max())
+            fastest = float(np.abs(_last_steps(trajectory.qvel)[:, dof]).max())
             limit = Limit(JOINT_SPEED, "m/s", Fault.RESTLESS)
             speed = fastest * simulation.moment_arm(joint)
             yield _check(trajectory, name, speed, limit, **names)
@@ -319,7 +318,7 @@ def _diverged(trajectory: Trajectory) -> Check:
     return _check(trajectory, name, float("nan"), limit, part=part, joint=joint, time=time)
 
 
-def _last_steps(options: VerifyOptions, values: NDArray) -> NDArray:
+def _last_steps(values: NDArray) -> NDArray:
     """Return the values of the last steps of a run, during which the object must be settled.
 
     The first axis of the values is time.

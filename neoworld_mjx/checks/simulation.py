@@ -18,7 +18,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 
 from ..config import VerifyOptions
-from ..physics.mjcf import START, body_name, to_mjspec
+from ..physics.mjcf import START, body_name, start_data, to_mjspec
 from ..spec import JointSpec, ObjectSpec, Quat, bounds, joint_value, part_bounds
 from ..spec.kinematics import welded
 from ..spec.opening import prerequisite_state
@@ -125,8 +125,7 @@ class Simulation:
         key = (scenario.world, scenario.fixed_joints)
         if key not in self._fixed_joint_models:
             model = copy.copy(self.models[scenario.world])
-            data = mujoco.MjData(model)
-            mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+            data = start_data(model)
             mujoco.mj_forward(model, data)
             inertia = np.diag(_mass_matrix(model, data))
             for joint in scenario.fixed_joints:

@@ -40,6 +40,8 @@ INERTIA_RATIO = 30.0
 
 The smallest ratio is 3 / INERTIA_RATIO.
 """
+FARTHEST_M, TOUCH_M = 10.0, 1e-6
+"""Largest distance of two parts that is measured, and largest one at which they touch [m]."""
 SURFACE_SAMPLES = 240
 """Number of points that are sampled on a part's visible surface."""
 MAX_UNCOVERED_FRACTION = 0.2
@@ -317,25 +319,24 @@ class Probe:
             self.check_time()
         return closest
 
-    def separation(self, first: int, second: int, reach: float = 10.0) -> tuple[float, NDArray]:
+    def separation(self, first: int, second: int) -> tuple[float, NDArray]:
         """Return the signed distance between two parts, and the direction in which they separate.
 
         Args:
             first: index of the first part.
             second: index of the second part.
-            reach: largest distance that is measured [m].
 
         Returns:
-            The distance [m], at most `reach`, and the unit vector from the first part to the
-            second, shape [3]. If the distance exceeds `reach` or is 0, the vector points up.
+            The distance [m], at most FARTHEST_M, and the unit vector from the first part to the
+            second, shape [3]. If the distance is FARTHEST_M or 0, the vector points up.
         """
         up = np.array([0.0, 0.0, 1.0])
-        closest = self.nearest(self.of_part(first), self.of_part(second), reach)
+        closest = self.nearest(self.of_part(first), self.of_part(second), FARTHEST_M)
         if closest is None:
-            return reach, up
+            return FARTHEST_M, up
         ends = np.zeros(6)
         distance = mujoco.mj_geomDistance(
-            self._model, self._data, closest.first, closest.second, reach, ends
+            self._model, self._data, closest.first, closest.second, FARTHEST_M, ends
         )
         offset = ends[3:] - ends[:3]
         length = float(np.linalg.norm(offset))
@@ -348,25 +349,22 @@ class Probe:
         """Return the indices of the pieces of a part."""
         return np.flatnonzero(self.owner == part)
 
-    def depths(
-        self, pairs: Iterable[tuple[int, int]], reach: float = 1e-6
-    ) -> dict[tuple[int, int], PieceDistance]:
+    def depths(self, pairs: Iterable[tuple[int, int]]) -> dict[tuple[int, int], PieceDistance]:
         """Return the nearest pair of pieces for every pair of parts that touch or overlap.
 
         Args:
             pairs: pairs of part indices.
-            reach: largest distance [m] at which two parts count as touching.
         """
         self.check_time()
         part_pairs = np.array(list(pairs), dtype=int).reshape(-1, 2)
         # Pieces are ordered by part, so each part is one slice.
-        low = np.minimum.reduceat(self.low, self._first) - reach
+        low = np.minimum.reduceat(self.low, self._first) - TOUCH_M
         high = np.maximum.reduceat(self.high, self._first)
         first, second = part_pairs.T
         overlapping = np.all((low[first] <= high[second]) & (low[second] <= high[first]), axis=1)
         deepest = {}
         for a, b in part_pairs[overlapping].tolist():
-            closest = self.nearest(self.of_part(a), self.of_part(b), reach)
+            closest = self.nearest(self.of_part(a), self.of_part(b), TOUCH_M)
             if closest is not None:
                 deepest[a, b] = closest
         return deepest

@@ -67,7 +67,7 @@ class PreviewCommand(Command):
                 if path == file:
                     raise SpecError(f"{file}: no such file; write the response first") from None
                 texts.append("")
-            except (OSError, UnicodeDecodeError) as error:
+            except OSError as error:
                 raise SpecError(f"cannot read {path}: {error}") from None
         shown = preview(load_photo(photo, LARGEST_PX), *texts)
         out = self.out or folder / "preview.png"
@@ -112,7 +112,8 @@ class RenderCommand(ConfiguredCommand):
         config = self.load_config()
         options = config.render
         scene = open_target(self.target, config).after
-        out = self.out or self._default_path("render.png")
+        folder = self.target if self.target.is_dir() else self.target.parent
+        out = self.out or folder / "render.png"
         if self.open is not None:
             if not 0 <= self.open <= 1:
                 raise SpecError(f"--open: got {self.open:g}, valid is from 0 to 1")
@@ -155,9 +156,6 @@ class RenderCommand(ConfiguredCommand):
             raise SpecError(f"--elevation: got {elevation:g}, valid is from -90 to 90 degrees")
         azimuth = AZIMUTH_DEG if self.azimuth is None else self.azimuth
         return math.radians(azimuth), math.radians(elevation), fovy
-
-    def _default_path(self, name: str) -> Path:
-        return (self.target if self.target.is_dir() else self.target.parent) / name
 
 
 @dataclass(frozen=True, kw_only=True)

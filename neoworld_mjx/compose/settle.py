@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull
 
 from ..config import RefineOptions, SettleOptions
 from ..physics.layout import Layout, arrange
-from ..physics.mjcf import body_name
+from ..physics.mjcf import body_name, start_data
 from ..physics.model import CompiledScene, compile_for_simulation
 from ..physics.rest import rest
 from ..physics.sampling import extreme_points
@@ -231,8 +231,7 @@ def _shifts(model: mujoco.MjModel, body: int, obj: SceneObject, container: int) 
     """Return the horizontal shifts [m] from the parsed position from which an object is dropped."""
     if obj.relation != "in":
         return [np.zeros(2)]
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data = start_data(model)
     mujoco.mj_forward(model, data)
     corners = _corners(model, data, container)
     object_corners = _corners(model, data, body)

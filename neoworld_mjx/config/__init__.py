@@ -2,7 +2,7 @@
 
 from ..io.limited_worker import FileOptions
 from ..io.text_files import parse_yaml, read_yaml
-from ..options import Option, Options, PaperDifference, list_options, option_values
+from ..options import Option, Options, list_options, option_values
 from .model_options import MLLMOptions, Role, RoleOptions
 from .object_options import (
     AlignOptions,
@@ -11,7 +11,6 @@ from .object_options import (
     Language,
     ParseOptions,
     ProgramOptions,
-    RenderOptions,
     VerifyOptions,
 )
 from .run_config import WITHOUT_CRITICS, Config, load_config, merged
@@ -36,11 +35,9 @@ __all__ = [
     "MLLMOptions",
     "Option",
     "Options",
-    "PaperDifference",
     "ParseOptions",
     "ProgramOptions",
     "RefineOptions",
-    "RenderOptions",
     "RewardOptions",
     "Role",
     "RoleOptions",

@@ -16,7 +16,7 @@ from ..export.write_mjcf import add_frames
 from ..physics.gripper import PREFIX, Gripper, attach_gripper
 from ..physics.mjcf import to_mjspec
 from ..physics.model import SceneModel, compile_scene
-from ..spec import SceneSpec, bounds, read_scene, world_poses
+from ..spec import SceneSpec, read_scene, world_bounds, world_poses
 from ..spec.pose import quat_mul, rotate
 from .arm import Arm, Control, SceneState, compiled_arm, settled_act
 from .flying_gripper import FlyingGripper, facing
@@ -288,8 +288,7 @@ def _surface_below(scene: SceneSpec, mount: Mount) -> float | None:
     """Return the top of the environment below a base [m]; None if there is nothing."""
     poses, tops = world_poses(scene), []
     for item in (item for item in scene.objects if item.environment):
-        at = poses[item.name]
-        low, high = (end + at.pos for end in bounds(item.spec, item.joint_state, tuple(at.quat)))
+        low, high = world_bounds(item, poses[item.name])
         if np.all((low[:2] < mount.pos[:2]) & (mount.pos[:2] < high[:2])):
             tops += [float(high[2])] if high[2] < mount.pos[2] + 0.005 else []
     return max(tops, default=None)

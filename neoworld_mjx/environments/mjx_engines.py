@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..errors import EngineError
-from ..physics.mjx_model import make_data, mjx_step, put_compiled, with_fields
+from ..physics.mjx_model import make_data, mjx_step, put_model, with_fields
 from .arm import SceneState, scene_state
 from .controlled_scene import ControlledScene
 from .engines import Fields, dynamic
@@ -71,7 +71,7 @@ class MjxSteps:
         Raises:
             EngineError: MJX cannot simulate the scene.
         """
-        self._model = put_compiled(model, initial_qpos)
+        self._model = put_model(model, initial_qpos)
         self._data = jax.tree.map(jnp.asarray, make_data(self._model))
 
     def step(self, fields: Fields, state: SceneState, ctrl: Array, steps: int) -> SceneState:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import SpecError
 from ..export.link_frames import MARGIN_M, handle_at
-from ..spec import SceneObject, bounds, link_poses, world_poses
+from ..spec import SceneObject, bounds, link_poses, world_bounds, world_poses
 from ..spec.pose import (
     Pose,
     angle_between,
@@ -432,9 +432,7 @@ def _ground(task: Task, xy: NDArray, height: float) -> float | None:
     """
     poses, tops = world_poses(task.scene), []
     for item in task.scene.objects:
-        at = poses[item.name]
-        low, high = bounds(item.spec, item.joint_state, tuple(at.quat))
-        low, high = low + at.pos, high + at.pos
+        low, high = world_bounds(item, poses[item.name])
         inside = np.all((xy > low[:2] - CLEAR_M) & (xy < high[:2] + CLEAR_M))
         if item.environment:
             if high[2] <= height + 0.05:

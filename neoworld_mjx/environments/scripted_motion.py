@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..physics.mjcf import body_name
-from ..spec import bounds, world_poses
+from ..spec import world_bounds, world_poses
 from ..spec.pose import Pose, length
 from .arm import SceneState
 from .policy_environment import Script
@@ -86,8 +86,7 @@ def _clearance(task: SceneTask, start: NDArray, end: NDArray) -> float:
         return CLEAR_M[0]
     model, data = task.controlled.model, task.controlled.initial_data()
     item = task.task.scene.object(task.task.point.object)
-    at = world_poses(task.task.scene)[item.name]
-    foot = bounds(item.spec, item.joint_state, tuple(at.quat))[0][2] + at.pos[2]
+    foot = world_bounds(item, world_poses(task.task.scene)[item.name])[0][2]
     own, hit = model.body(body_name(item, item.spec.root)).id, np.zeros(1, np.int32)
     across = np.cross(way, (0.0, 0.0, 1.0)) / max(float(np.linalg.norm(way[:2])), 1e-9)
     for clear in CLEAR_M:

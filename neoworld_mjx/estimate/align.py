@@ -51,17 +51,17 @@ of the log scale. They were set on the development half of the benchmark scenes.
 bench run scenes` counts the 90 % intervals that contain the true value."""
 
 
-BOXES = AlignmentStage(8, COARSE_PX)
+BOXES = AlignmentStage(9, COARSE_PX)
 """Steps by the 2D boxes alone, from the parsed places."""
 STAGES = (
     AlignmentStage(2, COARSE_PX, open_focal=True, depth_reach=0.1),
     AlignmentStage(2, COARSE_PX, 16.0, 1.5, open_focal=True, depth_reach=0.06),
     AlignmentStage(2, FINE_PX, 10.0, 1.0, open_focal=True, depth_reach=0.03),
-    AlignmentStage(2, FINE_PX, 6.0, 0.5, local_colors=True),
+    AlignmentStage(3, FINE_PX, 6.0, 0.5, local_colors=True),
 )
 STAGES_AGAIN = (
     AlignmentStage(2, FINE_PX, 10.0, 1.0),
-    AlignmentStage(1, FINE_PX, 6.0, 0.5, local_colors=True),
+    AlignmentStage(2, FINE_PX, 6.0, 0.5, local_colors=True),
 )
 """Stages of an alignment that starts from an aligned scene."""
 
@@ -277,7 +277,7 @@ def _solution(
     }
     if not problem.options.contours:
         reasons = dict.fromkeys(range(len(scene.objects)), "contours are disabled")
-    misjudged = True
+    misjudged, equations = True, None
     for width, of_width in itertools.groupby(stages, lambda stage: stage.width):
         if photo is not None and problem.uses_edges:
             # Only edges that are almost vertical for the current camera count.
@@ -290,9 +290,7 @@ def _solution(
                 if stage.open_focal:
                     deviation = math.sqrt(equations.covariance()[FOCAL, FOCAL])
                     misjudged = is_misjudged(float(x[FOCAL]), deviation)
-    last = stages[-1]
-    equations = problem.linearized(x, images[last.width], last, reasons)
-    x = equations.solved()
+    assert equations is not None
     return _result(problem, x, equations, reasons, problem.depth_outcomes(x))
 
 

@@ -188,11 +188,8 @@ def _with_lens(
 
 
 def _numbers(text: str, path: Path) -> NDArray:
-    try:
-        rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-        return np.array([[float(number) for number in row] for row in rows])
-    except ValueError:
-        raise EvidenceError(f"{path} is not a matrix of numbers") from None
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    return _array(rows, path)
 
 
 def _array(value: object, path: Path) -> NDArray:

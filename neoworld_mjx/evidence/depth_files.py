@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from ..errors import EvidenceError
-from ..io import file_bounds, open_image, read_arrays
-from ..io.files import MIB, read_bytes
+from ..io import open_image, read_arrays, read_untrusted_bytes
 from .depth_image import MONOCULAR, DepthImage, DepthKind
 from .lens import Lens
 
@@ -62,14 +61,12 @@ def read_depth(
         )
     if scale is not None and not (0 < scale < np.inf):
         raise EvidenceError(f"{path}: scale {scale:g} must be positive, in meters per unit")
-    if kind == "metric":
-        scale = (PNG_SCALE if image else 1.0) if scale is None else scale
-        values = values.astype(float) * scale
-    else:
-        values = values.astype(float) * (scale or 1.0)
-    missing = ~np.isfinite(values) | (values == 0) if kind != "affine" else ~np.isfinite(values)
+    if scale is None:
+        scale = PNG_SCALE if image and kind == "metric" else 1.0
+    values = values.astype(float) * scale
+    missing = ~np.isfinite(values)
     if kind != "affine":
-        missing |= values < 0
+        missing |= values <= 0
     values = np.where(missing, np.nan, values)
     if not np.isfinite(values).any():
         raise EvidenceError(f"{path} has no values: all of its pixels are 0 or not finite")
@@ -105,12 +102,17 @@ def _values(path: Path, name: str) -> tuple[NDArray, bool]:
         array, image = read_gray(path), True
     if array.ndim != 2:
         raise EvidenceError(f"{path} has the shape {array.shape}; a {name} image has two axes")
-    if not all(MIN_SIDE_PX <= side <= MAX_SIDE_PX for side in array.shape):
+    check_side(array, path)
+    return array, image
+
+
+def check_side(values: NDArray, path: Path) -> None:
+    """Raise an EvidenceError if an image [row, column] is too small or too large."""
+    if not all(MIN_SIDE_PX <= side <= MAX_SIDE_PX for side in values.shape):
         raise EvidenceError(
-            f"{path} has {array.shape[1]} x {array.shape[0]} pixels; valid are {MIN_SIDE_PX} to "
+            f"{path} has {values.shape[1]} x {values.shape[0]} pixels; valid are {MIN_SIDE_PX} to "
             f"{MAX_SIDE_PX} a side"
         )
-    return array, image
 
 
 def read_gray(path: Path) -> NDArray:
@@ -119,10 +121,7 @@ def read_gray(path: Path) -> NDArray:
     Raises:
         EvidenceError: the file cannot be read, or has colors.
     """
-    try:
-        data = read_bytes(path, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise EvidenceError(f"cannot read {path}: {error.strerror}") from None
+    data = read_untrusted_bytes(path, EvidenceError)
     with open_image(data, str(path), EvidenceError, ("PNG", "TIFF", "PPM")) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I", "L", "P", "F", "1"):
             raise EvidenceError(

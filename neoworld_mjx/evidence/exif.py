@@ -6,8 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 from ..errors import EvidenceError, PhotoError
-from ..io import file_bounds, open_image
-from ..io.files import MIB, read_bytes
+from ..io import open_image, read_untrusted_bytes
 from .known_camera import KnownCamera
 
 EXIF_SD = 0.03
@@ -34,10 +33,7 @@ def exif_camera(photo: Path, size: tuple[int, int]) -> KnownCamera | None:
         PhotoError: the file cannot be read.
         EvidenceError: the photograph is a crop of the one that the EXIF data describe.
     """
-    try:
-        data = read_bytes(photo, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise PhotoError(f"cannot read {photo}: {error.strerror}") from None
+    data = read_untrusted_bytes(photo, PhotoError)
     with open_image(data, str(photo), PhotoError, large=True) as image:
         tags = _tags(image)
     focal, width, height = (tags.get(tag, math.nan) for tag in (FOCAL_35MM, WIDTH, HEIGHT))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import EvidenceError
 from ..io import read_arrays, read_json
 from ..spec import SceneTree, TreeNode
-from .depth_files import MAX_SIDE_PX, MIN_SIDE_PX, read_gray
+from .depth_files import check_side, read_gray
 from .masks import Masks
 
 MAX_MASKS = 1000
@@ -69,18 +69,10 @@ def _labels(path: Path) -> Int[np.ndarray, "row column"]:
         raise EvidenceError(
             f"{path} holds {values.dtype} of shape {values.shape}; masks are integers with two axes"
         )
-    _check_side(values, path)
+    check_side(values, path)
     if values.dtype.kind == "i" and values.min() < 0:
         values = np.maximum(values, 0)
     return values.astype(np.int32)
-
-
-def _check_side(values: NDArray, path: Path) -> None:
-    if not all(MIN_SIDE_PX <= side <= MAX_SIDE_PX for side in values.shape):
-        raise EvidenceError(
-            f"{path} has {values.shape[1]} x {values.shape[0]} pixels; valid are {MIN_SIDE_PX} to "
-            f"{MAX_SIDE_PX} a side"
-        )
 
 
 def _read_folder(folder: Path) -> Masks:
@@ -91,7 +83,7 @@ def _read_folder(folder: Path) -> Masks:
     areas = np.zeros(len(files) + 1)
     for number, file in enumerate(files, start=1):
         mask = read_gray(file) != 0
-        _check_side(mask, file)
+        check_side(mask, file)
         if number == 1:
             labels = np.zeros(mask.shape, np.int32)
         if mask.shape != labels.shape:

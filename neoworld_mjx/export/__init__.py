@@ -2,21 +2,14 @@
 
 from .formats import export_object, export_scene, object_files, scene_files
 from .importing import import_file
-from .link_frames import Frame, frames
-from .mechanism import Mechanism
-from .object_of_mechanism import Imported
 from .read_mjcf import read_mjcf
 from .read_urdf import read_urdf
 from .write_mjcf import mjcf_text
 from .write_urdf import urdf_text
 
 __all__ = [
-    "Frame",
-    "Imported",
-    "Mechanism",
     "export_object",
     "export_scene",
-    "frames",
     "import_file",
     "mjcf_text",
     "object_files",

@@ -14,8 +14,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from ..errors import SpecError
-from ..io import file_bounds
-from ..io.files import MIB, read_bytes
+from ..io import read_untrusted_bytes
 from ..io.text_files import MAX_DEPTH
 
 DECLARED = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
@@ -36,7 +35,7 @@ def read_xml(path: Path) -> ET.Element:
         SpecError: the file cannot be read, is truncated, declares entities, is nested too deeply,
             or contains a number that is not finite.
     """
-    data = asset_bytes(path)
+    data = read_untrusted_bytes(path, SpecError)
     refuse_entities(path, data)
     try:
         root = ET.fromstring(data)
@@ -70,14 +69,6 @@ def _is_finite(word: str) -> bool:
         return isfinite(float(word))
     except ValueError:
         return True
-
-
-def asset_bytes(path: Path) -> bytes:
-    """Read a file of at most `files.max_file_mib`; raise a SpecError if it cannot be read."""
-    try:
-        return read_bytes(path, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise SpecError(f"cannot read {path}: {error.strerror}") from None
 
 
 def asset_root(path: Path) -> Path:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..physics.mjcf import START, to_mjspec
+from ..physics.mjcf import start_data, to_mjspec
 from ..spec import ObjectSpec, SceneSpec
 
 RATE = 20.0
@@ -53,7 +53,8 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
     ]
     if not driven:
         return ()
-    model, data = _posed(scene)
+    model = to_mjspec(scene).compile()
+    data = start_data(model)
     result = []
     for name, joint, axis in driven:
         dof = model.joint(name).dofadr[0] + max("xyz".find(axis), 0)
@@ -64,21 +65,14 @@ def drives(scene: SceneSpec | ObjectSpec) -> tuple[Drive, ...]:
                 name=name + (f"-{axis}" if axis else ""),
                 joint=name,
                 axis=axis,
-                stiffness=round_to(inertia * RATE**2, 4),
-                damping=round_to(2 * inertia * RATE, 4),
+                stiffness=rounded(inertia * RATE**2),
+                damping=rounded(2 * inertia * RATE),
                 range=(joint.lower, joint.upper) if limited else None,
                 effort=joint.effort,
                 target=_target(data.joint(name).qpos, axis),
             )
         )
     return tuple(result)
-
-
-def _posed(scene: SceneSpec | ObjectSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = to_mjspec(scene).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
-    return model, data
 
 
 def _target(qpos: np.ndarray, axis: str) -> float:
@@ -90,6 +84,6 @@ def _target(qpos: np.ndarray, axis: str) -> float:
     return float(vector["xyz".find(axis)])
 
 
-def round_to(value: float, digits: int) -> float:
-    """Round a value to `digits` significant digits."""
-    return float(f"{value:.{digits}g}")
+def rounded(value: float) -> float:
+    """Round a value to 4 significant digits."""
+    return float(f"{value:.4g}")

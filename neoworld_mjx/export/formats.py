@@ -18,6 +18,7 @@ from ..spec import (
     SceneSpec,
     bounds,
     pieces,
+    world_bounds,
     world_poses,
 )
 from .write_glb import glb_bytes, has_texture, mesh_files, texture_files
@@ -256,10 +257,7 @@ def _floor_height(described: SceneOrObject) -> float:
         return float(bounds(described)[0][2])
     poses = world_poses(described)
     lows = [
-        poses[item.name].pos[2]
-        + bounds(item.spec, item.joint_state, tuple(poses[item.name].quat.tolist()))[0][2]
-        for item in described.objects
-        if not item.static
+        world_bounds(item, poses[item.name])[0][2] for item in described.objects if not item.static
     ]
     return float(min([0.0, *lows]))
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import SpecError
-from .asset_files import asset_bytes, inside
+from ..io import read_untrusted_bytes
+from .asset_files import inside
 from .mesh_colors import Color, Surface, face_weights, mean_color, small_image, texture_color
 
 GLTF = (".glb", ".gltf")
@@ -53,7 +54,7 @@ def read_gltf_file(path: Path) -> GltfFile:
         SpecError: the file cannot be read, or requires an extension that is not read.
         ValueError, KeyError, ...: the file is broken.
     """
-    data, binary = asset_bytes(path), b""
+    data, binary = read_untrusted_bytes(path, SpecError), b""
     if data[:4] == b"glTF":
         (length,) = struct.unpack_from("<I", data, 12)
         binary = data[20 + length + 8 :]
@@ -248,7 +249,7 @@ def _linked(file: GltfFile, uri: str) -> bytes:
     """Return the contents of a URI: data, or a file of the asset."""
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2])
-    return asset_bytes(inside(file.path, uri))
+    return read_untrusted_bytes(inside(file.path, uri), SpecError)
 
 
 def _with_material(

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..io import read_untrusted_bytes
 from ..spec.shapes import MAX_VERTICES
-from .asset_files import asset_bytes, inside, refuse_entities
+from .asset_files import inside, refuse_entities
 from .gltf_file import GLTF, file_surfaces
 from .mesh_colors import Color, Surface, face_weights, mean_color, small_png, texture_color
 
@@ -69,7 +70,7 @@ def load_surfaces(path: Path, notes: list[str]) -> list[Surface]:
 def _by_trimesh(path: Path, kind: str, notes: list[str]) -> list[Surface]:
     import trimesh
 
-    data = asset_bytes(path)
+    data = read_untrusted_bytes(path, SpecError)
     if kind == ".dae":
         refuse_entities(path, data)
     try:
@@ -147,9 +148,9 @@ def _folder_files(path: Path, notes: list[str]) -> Any:
             try:
                 file = inside(path, name)
                 if name.lower().endswith(PICTURES):
-                    return small_png(asset_bytes(file), file.name)
+                    return small_png(read_untrusted_bytes(file, SpecError), file.name)
                 if name.lower().endswith(".mtl"):
-                    return asset_bytes(file)
+                    return read_untrusted_bytes(file, SpecError)
             except SpecError as error:
                 notes.append(f"{path.name}: {error}"[:200])
             raise FileNotFoundError(name)

@@ -105,7 +105,7 @@ def read_mjcf_scene(path: Path) -> FileScene:
             weight = f" ({mass:g} kg)" if mass else ""
             file_notes.append(f"body {bodies[top]}{weight} collides with nothing: not imported")
         else:
-            objects.append(_object(file, int(top), collides, file_notes))
+            objects.append(_object(file, int(top), collides))
     if not objects:
         raise SpecError(f"{path}: no body has geometry")
     if len(objects) == 1:
@@ -159,7 +159,7 @@ def _world_geoms(file: _File, collides: NDArray, notes: list[str]) -> list[Assem
     return [Assembly(name, Mechanism(name, {name: link}, [], fixed=True), np.eye(4), world=True)]
 
 
-def _object(file: _File, top: int, collides: NDArray, file_notes: list[str]) -> Assembly:
+def _object(file: _File, top: int, collides: NDArray) -> Assembly:
     """Return a child of the world body with all its descendants."""
     model, notes = file.model, list[str]()
     bodies = np.flatnonzero(model.body_rootid == top).tolist()

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecError
+from ..io import read_untrusted_bytes
 from ..spec import Box, Capsule, Cylinder, JointSpec, Mimic, Site, Sphere
 from ..spec.pose import triple
 from ..spec.primitives import BaseShape
-from .asset_files import asset_bytes, inside, inside_any, read_xml
+from .asset_files import inside, inside_any, read_xml
 from .load_mesh import joined, load_surfaces
 from .mechanism import (
     GRAY,
@@ -200,7 +201,7 @@ def _stated_color(path: Path, material: Any, notes: list[str]) -> Color | None:
         return None
     name = material.texture.filename
     try:
-        with small_image(asset_bytes(inside(path, name)), name) as image:
+        with small_image(read_untrusted_bytes(inside(path, name), SpecError), name) as image:
             pixel = np.asarray(image.convert("RGB"), float).reshape(-1, 3).mean(axis=0) / 255
     except SpecError as error:
         notes.append(f"a texture is not imported: {error}"[:200])

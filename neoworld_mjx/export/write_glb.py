@@ -77,7 +77,7 @@ def collision_file(geom: GeomSpec, k: int) -> str:
     return f"{FOLDER}/{geom.name}-{k}.obj"
 
 
-def piece_mesh(geom: GeomSpec, piece: Piece) -> tuple[NDArray, NDArray] | None:
+def piece_mesh(piece: Piece) -> tuple[NDArray, NDArray] | None:
     """Return the vertices [v, 3] and faces [f, 3] of a convex piece; None if it needs no mesh.
 
     URDF and UsdPhysics have no ellipsoids. An ellipsoid becomes the polyhedron that replaces it in
@@ -105,7 +105,7 @@ def mesh_files(spec: ObjectSpec) -> dict[str, str]:
             if geom.role == "visual":
                 continue
             for k, piece in enumerate(geom.shape.pieces()):
-                mesh = piece_mesh(geom, piece)
+                mesh = piece_mesh(piece)
                 if mesh is not None:
                     files[collision_file(geom, k)] = obj(*mesh)
     return files

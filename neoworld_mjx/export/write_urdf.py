@@ -165,7 +165,7 @@ def _add_collision(
             ball = geometry(f"{name}-{end}", local.then(pose((0, 0, z))))
             ET.SubElement(ball, "sphere", radius=number(radius))
     else:
-        mesh = piece_mesh(geom, piece)
+        mesh = piece_mesh(piece)
         assert mesh is not None
         low, high = mesh[0].min(axis=0), mesh[0].max(axis=0)
         half = (high - low) / 2

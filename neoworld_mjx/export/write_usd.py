@@ -136,7 +136,7 @@ def _add_link(
             for k, piece in enumerate(geom.shape.pieces()):
                 collider = folder.AppendChild(f"{geom.name}_{k}")
                 piece_pose = local.then(pose(piece.pos, piece.quat))
-                _add_collider(stage, collider, geom, piece, piece_pose)
+                _add_collider(stage, collider, piece, piece_pose)
                 bind_material(stage, collider, base, material, physical=True)
     for frame in points:
         if frame.part == part.name:
@@ -176,10 +176,8 @@ def _shade(mesh: UsdGeom.Mesh, normals: NDArray) -> None:
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
 
 
-def _add_collider(
-    stage: Usd.Stage, path: Sdf.Path, geom: GeomSpec, piece: Piece, local: Pose
-) -> None:
-    triangles = piece_mesh(geom, piece)
+def _add_collider(stage: Usd.Stage, path: Sdf.Path, piece: Piece, local: Pose) -> None:
+    triangles = piece_mesh(piece)
     if triangles is None:
         prim = _gprim(stage, path, piece, local).GetPrim()
     else:

@@ -5,12 +5,11 @@ readers of XML and meshes are in `export`. All readers open files with `files.re
 the limits of `FileOptions`, and report a file that they cannot read in a single message.
 """
 
-from .binary_files import IMAGE_FORMATS, open_image, read_arrays
+from .binary_files import open_image, read_arrays, read_untrusted_bytes
 from .limited_worker import bounded_by, file_bounds, set_file_bounds
 from .text_files import read_json, read_model, read_object, read_untrusted_text
 
 __all__ = [
-    "IMAGE_FORMATS",
     "bounded_by",
     "file_bounds",
     "open_image",
@@ -18,6 +17,7 @@ __all__ = [
     "read_json",
     "read_model",
     "read_object",
+    "read_untrusted_bytes",
     "read_untrusted_text",
     "set_file_bounds",
 ]

@@ -21,6 +21,18 @@ from .limited_worker import file_bounds
 MAX_ARRAYS = 4096
 
 
+def read_untrusted_bytes(path: Path, error: type[NeoWorldError]) -> bytes:
+    """Read an untrusted file of at most `files.max_file_mib`.
+
+    Raises:
+        NeoWorldError: of the class `error`: the file cannot be read, or is too large.
+    """
+    try:
+        return read_bytes(Path(path), file_bounds().max_file_mib * MIB)
+    except OSError as problem:
+        raise error(f"cannot read {path}: {problem.strerror}") from None
+
+
 def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
     """Read the arrays of an .npz file by name, or of an .npy file, whose only array is named "".
 
@@ -35,10 +47,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
             plain arrays, or unpacks to more than `files.max_file_mib`.
     """
     limit = file_bounds().max_file_mib * MIB
-    try:
-        data = read_bytes(Path(path), limit)
-    except OSError as problem:
-        raise error(f"cannot read {path}: {problem.strerror}") from None
+    data = read_untrusted_bytes(path, error)
     try:
         if data.startswith(npy.MAGIC_PREFIX):
             return {"": _array(data, str(path))}
@@ -55,7 +64,7 @@ def read_arrays(path: Path, error: type[NeoWorldError]) -> dict[str, NDArray]:
                 for m in members
             }
     except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, RuntimeError,
-            NotImplementedError, SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
+            SyntaxError, TypeError, OverflowError) as problem:  # fmt: skip
         raise error(f"{path} holds no readable arrays: {problem}") from None
 
 

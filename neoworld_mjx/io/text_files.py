@@ -91,7 +91,7 @@ def read_json(path: Path, error: type[NeoWorldError], kind: str = "") -> Any:
         raise error(f"{path} holds an unpaired surrogate: save it again as UTF-8") from None
     except ValueError as problem:
         raise error(f"{path} is not JSON: {problem}; replace or regenerate the file") from None
-    if _depth_exceeds(value, MAX_DEPTH):
+    if _is_too_deep(value):
         raise error(_too_deep(path))
     return value
 
@@ -147,10 +147,10 @@ def _checked_text(path: Path, error: type[NeoWorldError], kind: str) -> str:
     return text
 
 
-def _depth_exceeds(value: Any, limit: int) -> bool:
-    """Return True if containers are nested more than `limit` levels below the outermost one."""
+def _is_too_deep(value: Any) -> bool:
+    """Return True if containers are nested more than MAX_DEPTH levels below the outermost one."""
     level = [value]
-    for _ in range(limit + 1):
+    for _ in range(MAX_DEPTH + 1):
         children = [
             child
             for container in level

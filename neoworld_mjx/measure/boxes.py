@@ -15,6 +15,7 @@ from shapely import Polygon
 
 from ..spec import Box2D, Box3D, Camera, SceneSpec, TreeNode, bounds, world_poses
 from ..spec.pose import ArrayLike, angle_between, yaw_of
+from ..spec.room import RECTANGLE, SupportOutline
 
 
 def iou_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
@@ -32,12 +33,14 @@ def intersection_2d(a: Box2D | ArrayLike, b: Box2D | ArrayLike) -> float:
     return float(np.prod(np.maximum(sides, 0.0)))
 
 
-def footprint(box: Box3D) -> NDArray:
-    """Return the corners of an upright box's footprint [m], counterclockwise, shape [4, 2]."""
-    half = np.array(box.size[:2]) / 2
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+def footprint(box: Box3D, outline: SupportOutline = RECTANGLE) -> NDArray:
+    """Return the corners of an upright box's footprint [m], counterclockwise, shape [n, 2].
+
+    The footprint has the shape of `outline`; by default, it is a rectangle.
+    """
+    local = outline.corners() * np.array(box.size[:2])
     c, s = np.cos(box.yaw), np.sin(box.yaw)
-    return signs * half @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
+    return local @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
 
 
 def support_footprint(node: TreeNode) -> NDArray:
@@ -47,11 +50,7 @@ def support_footprint(node: TreeNode) -> NDArray:
     upright bounding box.
     """
     box = upright(node)
-    if node.outline.shape == "rectangle" or box is not node.box3d:
-        return footprint(box)
-    c, s = np.cos(box.yaw), np.sin(box.yaw)
-    local = node.outline.corners() * np.array(box.size[:2])
-    return local @ np.array([[c, s], [-s, c]]) + np.array(box.position[:2])
+    return footprint(box, node.outline if box is node.box3d else RECTANGLE)
 
 
 def polygon_intersection(a: NDArray, b: NDArray) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..spec import Lathe, SceneObject, SceneSpec, Shape
 from ..spec.convex import Piece, box_around, planes
 from ..spec.pose import Pose, matrix, pose
-from .mjcf import object_of_body, to_mjspec
+from .mjcf import object_of_body, start_data, to_mjspec
 from .support import posed_shapes
 
 _KIND = {
@@ -93,9 +93,7 @@ SNAP_GAP_M, SNAP_ROUNDS = 1e-4, 30
 def start_state(scene: SceneSpec, timestep: float = 0.002) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Compile a scene, and return its model and its composed state after `mj_forward`."""
     model = to_mjspec(scene, timestep=timestep).compile()
-    data = mujoco.MjData(model)
-    if model.nkey:  # a scene without joints has no keyframe
-        mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    data = start_data(model)
     mujoco.mj_forward(model, data)
     return model, data
 

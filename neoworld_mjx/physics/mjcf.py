@@ -111,6 +111,14 @@ def to_mjspec(
     return model
 
 
+def start_data(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return data of a compiled scene in its composed state, before any kinematics."""
+    data = mujoco.MjData(model)
+    if model.nkey:  # a scene without joints has no keyframe
+        mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    return data
+
+
 def joint_order(spec: ObjectSpec) -> list[JointSpec]:
     """List the joints that have coordinates, in the order of qpos: depth first."""
     return [joint for _, joint in _depth_first(spec) if joint is not None and joint.type != "fixed"]

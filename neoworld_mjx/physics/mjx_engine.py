@@ -147,7 +147,7 @@ class MjxEngine(BatchEngine):
         """Return the model and the scene on the engine's devices."""
         if scene.static not in self._scenes:
             arrays, rest = eqx.partition(scene, eqx.is_array)
-            tree = (put_model(scene), arrays)
+            tree = (put_model(scene.static.mjm, scene.static.start), arrays)
             if self.mesh is None:
                 model, arrays = jax.device_put(tree, self.devices[0])
             else:

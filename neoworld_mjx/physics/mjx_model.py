@@ -213,17 +213,8 @@ class MjxModel(eqx.Module):
     """True if any geom is an ellipsoid."""
 
 
-def put_model(scene: CompiledScene) -> MjxModel:
-    """Put a scene on JAX's default device.
-
-    Raises:
-        EngineError: MJX cannot simulate the scene.
-    """
-    return put_compiled(scene.static.mjm, scene.static.start)
-
-
-def put_compiled(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxModel:
-    """Put a compiled model on JAX's default device, as `put_model` does.
+def put_model(mjm: mujoco.MjModel, start: Float[np.ndarray, " nq"]) -> MjxModel:
+    """Put a compiled model on JAX's default device.
 
     Args:
         mjm: the model.
@@ -297,7 +288,7 @@ def mjx_batch(scene: SceneModel, layouts: Layout) -> tuple[MjxModel, MjxModel, m
     Raises:
         EngineError: MJX cannot simulate the scene.
     """
-    model = put_model(scene)
+    model = put_model(scene.static.mjm, scene.static.start)
     fields, qpos = _candidates(scene, layouts)
     axes = with_fields(jax.tree.map(lambda _: None, model), dict.fromkeys(fields, 0))
     broadcast = lambda x: np.broadcast_to(np.asarray(x), (len(qpos), *np.shape(x)))

@@ -10,7 +10,7 @@ objects would lead to another scene than was meant.
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +35,11 @@ from ..spec import (
     SceneTree,
     TreeNode,
     bounds,
+    world_bounds,
     world_poses,
 )
 from ..spec.opening import opening_share
-from ..spec.pose import from_yaw, pose, rotate
+from ..spec.pose import from_yaw, pose, rotate, triple
 from ..spec.scale import scale, scaled_state
 from ..spec.scene import transformed_scene
 
@@ -133,8 +134,8 @@ def _node(item: SceneObject, scene: SceneSpec, parent: str | None, camera: Camer
         environment=item.environment,
         box2d=_box2d(camera, at.apply(corners)),
         box3d=Box3D(
-            position=cast(tuple[float, float, float], tuple(position.tolist())),
-            size=cast(tuple[float, float, float], tuple((high - low).tolist())),
+            position=triple(position),
+            size=triple(high - low),
             yaw=item.yaw,
         ),
         base_tilt=item.base_tilt,
@@ -147,7 +148,7 @@ def _states(item: SceneObject) -> list[PartState]:
     return [
         PartState(
             part=joint.name,
-            type=cast(Literal["revolute", "continuous", "prismatic"], joint.type),
+            type=joint.type,
             opening=opening_share(joint, item.joint_state[joint.name]),
         )
         for joint in item.spec.joints
@@ -270,10 +271,10 @@ def _floor(scene: SceneSpec, names: list[str]) -> SceneObject:
     poses, corners = world_poses(scene), []
     lowest = []
     for item in scene.objects:
-        low, high = bounds(item.spec, item.joint_state, tuple(poses[item.name].quat.tolist()))
-        corners += [poses[item.name].pos + low, poses[item.name].pos + high]
+        low, high = world_bounds(item, poses[item.name])
+        corners += [low, high]
         if item.name in names:
-            lowest.append(float((poses[item.name].pos + low)[2]))
+            lowest.append(float(low[2]))
     low, high = np.min(corners, axis=0) - MARGIN_M, np.max(corners, axis=0) + MARGIN_M
     material = Material(name="floor", density=1000, friction=0.6, rgba=(0.6, 0.6, 0.6, 1))
     size = (float(high[0] - low[0]), float(high[1] - low[1]), FLOOR_M)
@@ -361,10 +362,10 @@ def doubt_solids(scene: SceneSpec) -> None:
     for outer in scene.objects:
         place = poses[outer.name]
         solids = [(piece, place.then(at)) for piece, at in posed_pieces(outer, tilted=False)]
-        top = _world_box(outer, scene)[1][2]
+        top = world_bounds(outer, place)[1][2]
         inside = {}
         for item in scene.objects:
-            low, high = _world_box(item, scene)
+            low, high = world_bounds(item, poses[item.name])
             lift = float(top - low[2])
             if item is outer or item.static or lift < max(LIFT_M, float(high[2] - low[2])):
                 continue
@@ -378,10 +379,3 @@ def doubt_solids(scene: SceneSpec) -> None:
                 f"which would be lifted onto it ({moves}): leave out {outer.name}, or export its "
                 "floor and walls as separate objects"
             )
-
-
-def _world_box(item: SceneObject, scene: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest corner of an object's colliders in the world [m]."""
-    pose = world_poses(scene)[item.name]
-    low, high = bounds(item.spec, item.joint_state, tuple(pose.quat.tolist()))
-    return pose.pos + low, pose.pos + high

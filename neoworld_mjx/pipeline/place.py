@@ -143,7 +143,7 @@ class RefinedPlacement:
 
 def refine_placed(
     scene: SceneSpec,
-    options: RefineOptions | None = None,
+    options: RefineOptions,
     *,
     seed: int = 0,
     engine: Engine | EngineChoice | None = None,
@@ -174,13 +174,12 @@ def refine_placed(
         ConfigError, EngineError: as `refine`.
         PhotoError: the photograph does not have the camera's aspect ratio.
     """
-    o, final = options or RefineOptions(), None
-    picture = None
-    if photo is not None and o.semantic.scorer == "mllm":
+    picture, final = None, None
+    if photo is not None and options.semantic.scorer == "mllm":
         picture = Picture("photo", photo)
     refined = refine(
         scene if model is None else model,
-        o,
+        options,
         seed=seed,
         engine=engine,
         photo=picture,
@@ -193,7 +192,7 @@ def refine_placed(
         # Scenes are compiled at most twice: after a search, both are there.
         world = refined.world if refined.iterations else None
         final = align_final(
-            scene, refined.scene, photo, o, again, evidence=evidence, keep=keep, world=world
+            scene, refined.scene, photo, options, again, evidence=evidence, keep=keep, world=world
         )
         seconds["align"] = time.perf_counter() - began
         if final.measure is not None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .. import spec as S
 from ..errors import choices
 from ..spec.convex import box_around
-from ..spec.pose import IDENTITY, Pose, from_rpy, pose
+from ..spec.pose import IDENTITY, Pose, from_rpy, pose, triple
 from . import session as validate
 from .session import current, current_line
 
@@ -55,8 +55,7 @@ class Shape:
     def size(self) -> tuple[float, float, float]:
         """Edge lengths [m] of the axis-aligned bounding box, after rotations by `moved`."""
         low, high = bounds_of(self, pose())
-        x, y, z = (high - low).tolist()
-        return x, y, z
+        return triple(high - low)
 
     @property
     def volume(self) -> float:
@@ -208,8 +207,7 @@ def direction(value: Any, argument: str) -> tuple[float, float, float]:
             f"got {validate.formatted(value)}"
         )
     axis, sign = _DIRECTIONS[value]
-    x, y, z = (sign * np.eye(3)[axis] + 0.0).tolist()
-    return x, y, z
+    return triple(sign * np.eye(3)[axis] + 0.0)
 
 
 @no_type_check
@@ -224,8 +222,7 @@ class Geom:
 
     def anchor(self, where: str) -> tuple[float, float, float]:
         """Return a named point of the placed shape's bounding box, such as "left.front" [m]."""
-        x, y, z = anchor_of(self._bounds, where, f"anchor of {self.name}").tolist()
-        return x, y, z
+        return triple(anchor_of(self._bounds, where, f"anchor of {self.name}"))
 
 
 @no_type_check
@@ -234,8 +231,9 @@ class Part:
 
     name: str
 
-    def __init__(self, owner: Any, name: str, material: str | None, mass: float | None):
-        self._owner, self._material, self._mass = owner, material, mass
+    def __init__(self, owner: Any, name: str, material: str | None):
+        self._owner, self._material = owner, material
+        self._mass: float | None = None
         self._geoms: list[Geom] = []
         self._named: set[str] = set()
         self._line = current_line()
@@ -303,10 +301,8 @@ class Part:
         argument = f"anchor of part {self.name!r}"
         if is_hinge(where):
             others = [part for part in self._owner._parts if part is not self and part._geoms]
-            x, y, z = hinge_of(self._extent(), extent_of(others), where, argument)[0].tolist()
-        else:
-            x, y, z = anchor_of(self._extent(), where, argument).tolist()
-        return x, y, z
+            return triple(hinge_of(self._extent(), extent_of(others), where, argument)[0])
+        return triple(anchor_of(self._extent(), where, argument))
 
     def set_mass(self, mass: float) -> None:
         """Set the part's mass [kg], which replaces the mass from volume and density."""

@@ -310,11 +310,11 @@ class Object(Furniture):
         validate.unused(label, "part", [part.name for part in self._parts])
         if material is not None:
             self._known_material(material, f"part {label!r}")
-        if mass is not None and validate.number(mass, f"part {label!r}: mass") <= 0:
-            raise ValueError(f"part {label!r}: mass must be positive, got {mass!r}")
+        part = Part(self, label, material)
+        if mass is not None:
+            part.set_mass(mass)
         session = current()
         session.use("parts", 1, session.max_parts)
-        part = Part(self, label, material, None if mass is None else float(mass))
         self._parts.append(part)
         return part
 

@@ -23,8 +23,8 @@ from ..io.names import is_name
 from ..io.text_files import validation_message
 
 MAX_WARNINGS = 20
-MAX_TEXT_BYTES, MAX_OUTPUT_BYTES = 200_000, 20_000
-"""Limits on the length of a program's source and of its output."""
+MAX_TEXT_BYTES = 200_000
+"""Limit on the length of a program's source."""
 
 
 class LimitExceeded(Exception):

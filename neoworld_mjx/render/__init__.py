@@ -4,18 +4,16 @@ Rendering needs no OpenGL and gives the same pixels on every machine.
 """
 
 from .flat_rendering import render_plain
-from .rendering import RenderedImage, render
+from .rendering import render
 from .scene_images import (
     render_object,
     render_scene,
     to_png,
     visible_surface,
-    visible_vertices,
 )
 from .view import View
 
 __all__ = [
-    "RenderedImage",
     "View",
     "render",
     "render_object",
@@ -23,5 +21,4 @@ __all__ = [
     "render_scene",
     "to_png",
     "visible_surface",
-    "visible_vertices",
 ]

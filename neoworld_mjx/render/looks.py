@@ -152,7 +152,7 @@ def _printed_object(
                 continue
             if (part.name, material.name) not in printable:
                 continue
-            window = _window(camera, spec, part, material.name, places[part.name])
+            window = _window(camera, part, material.name, places[part.name])
             photo = window and _print(camera, filled, depth, window, places[part.name])
             if photo is not None:
                 taken = {material.name for material in materials}
@@ -360,7 +360,7 @@ def _filled(photo: NDArray, mask: NDArray) -> NDArray:
 
 
 def _window(
-    camera: Camera, spec: ObjectSpec, part: PartSpec, material: str, place: Pose
+    camera: Camera, part: PartSpec, material: str, place: Pose
 ) -> tuple[float, float, float, float] | None:
     """Return the window (x0, y0, x1, y1) that a material of a part covers in the image [px].
 

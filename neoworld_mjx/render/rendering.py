@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.mjcf import START, to_mjspec
+from ..physics.mjcf import start_data, to_mjspec
 from ..spec import Camera, SceneSpec
 from ..spec.scene import Backdrop
 from .appearance import Appearance, albedo, appearance_of, display, linear
@@ -180,9 +180,7 @@ def render(
 def compile_posed(scene: SceneSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Compile a scene with visual geoms; set the data to the scene's poses and joint states."""
     model = to_mjspec(scene, visual=True).compile()
-    data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, model.key(START).id)
+    data = start_data(model)
     mujoco.mj_kinematics(model, data)
     return model, data
 

@@ -7,7 +7,6 @@ from .base import JointKey, Name, Number, Quat, Spec, Vec3
 from .camera import Camera
 from .joint import Intent, JointSpec, JointType, Mimic
 from .kinematics import (
-    ball_vector,
     bounds,
     joint_keys,
     joint_motion,
@@ -17,10 +16,9 @@ from .kinematics import (
     part_bounds,
     pieces,
     recentred,
-    translated,
 )
 from .mass import Inertial, inertial, is_too_light
-from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Role, Site
+from .object import AuthoredInertia, GeomSpec, Material, ObjectSpec, PartSpec, Site
 from .room import SupportOutline, SupportSurface, SurfacePattern
 from .scale import scale, scaled_state
 from .scene import (
@@ -31,6 +29,7 @@ from .scene import (
     support_frame,
     with_layout,
     with_world_poses,
+    world_bounds,
     world_poses,
 )
 from .shapes import (
@@ -83,7 +82,6 @@ __all__ = [
     "PartState",
     "Prism",
     "Quat",
-    "Role",
     "RoundedBox",
     "SceneObject",
     "SceneSpec",
@@ -98,7 +96,6 @@ __all__ = [
     "Sweep",
     "TreeNode",
     "Vec3",
-    "ball_vector",
     "bounds",
     "inertial",
     "is_too_light",
@@ -115,8 +112,8 @@ __all__ = [
     "scaled_state",
     "single_object_scene",
     "support_frame",
-    "translated",
     "with_layout",
     "with_world_poses",
+    "world_bounds",
     "world_poses",
 ]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ..errors import SpecError, choices
@@ -20,7 +21,7 @@ from ..io.names import UNIQUE, repeated
 from .base import JointKey, Meters, Name, NonNegative, Number, ObjectName, Quat, Spec, Vec3
 from .camera import Camera
 from .correlation import PoseCorrelation
-from .kinematics import joint_keys, link_poses
+from .kinematics import bounds, joint_keys, link_poses
 from .object import ObjectSpec
 from .pose import IDENTITY, Pose, conjugate, from_yaw, pose, quat_mul, rotate, yaw_of
 from .room import Share
@@ -265,6 +266,12 @@ def world_poses(scene: SceneSpec) -> dict[str, Pose]:
         yaw = quat_mul(frame.quat, from_yaw(obj.yaw))
         poses[obj.name] = pose(pos, quat_mul(yaw, obj.base_tilt))
     return poses
+
+
+def world_bounds(item: SceneObject, at: Pose) -> tuple[NDArray, NDArray]:
+    """Return the bounds (low [3], high [3]) [m] of an object's colliders at a pose in the world."""
+    low, high = bounds(item.spec, item.joint_state, tuple(at.quat.tolist()))
+    return at.pos + low, at.pos + high
 
 
 def with_world_poses(scene: SceneSpec, ends: Mapping[str, Pose]) -> SceneSpec:

@@ -1,5 +1,5 @@
 """Templates: object programs with parameter ranges, one for each category of everyday objects."""
 
-from .template import Parameter, Template, read_template, template, templates
+from .template import Template, read_template, template, templates
 
-__all__ = ["Parameter", "Template", "read_template", "template", "templates"]
+__all__ = ["Template", "read_template", "template", "templates"]

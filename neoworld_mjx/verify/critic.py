@@ -155,19 +155,19 @@ def _strip(label: str, poses: list[SceneObject], titles: list[str]) -> Described
     return DescribedPicture(label, lambda: _render_png(poses, titles), shows)
 
 
-def view_of_all(poses: list[SceneObject], width: int, height: int) -> View:
+def view_of_all(poses: list[SceneObject]) -> View:
     """Return a view in which the whole object is visible in all of the poses."""
     points = []
     for posed in poses:
         rotation = Rotation.from_quat(np.roll(posed.base_tilt, -1))
         vertices = rotation.apply(visible_vertices(posed.spec, posed.joint_state))
         points.append(vertices + [*posed.xy, posed.z])
-    return View.framing(np.vstack(points), width=width, height=height)
+    return View.framing(np.vstack(points), width=WIDTH, height=HEIGHT)
 
 
 def _render_png(poses: list[SceneObject], titles: list[str]) -> bytes:
     """Render the frames of a strip, and return a PNG image."""
-    view = view_of_all(poses, WIDTH, HEIGHT)
+    view = view_of_all(poses)
     sheet = Image.new("RGB", (WIDTH * len(poses), HEIGHT + BAND), "white")
     draw = ImageDraw.Draw(sheet)
     for k, (posed, title) in enumerate(zip(poses, titles, strict=True)):

@@ -196,7 +196,7 @@ class Annotator:
             look_through(client, self.annotation.camera)
 
     def _set_ground(self, label: str) -> None:
-        self.annotation = self.annotation.with_ground(label)
+        self.annotation = self.annotation.with_fields(ground=label)
 
     def _begin_box(self, client: Any) -> None:
         """Use the next rectangle that a client draws on the photograph as the object's box."""

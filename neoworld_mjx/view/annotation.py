@@ -88,7 +88,7 @@ class Annotation(Spec):
         """Add an object with a box and default values; return the annotation and its name."""
         numbers = range(1, len(self.objects) + 2)
         name = next(f"object_{k}" for k in numbers if self.find(f"object_{k}") is None)
-        return self._with(objects=(*self.objects, AnnotatedObject(name=name, box=box))), name
+        return self.with_fields(objects=(*self.objects, AnnotatedObject(name=name, box=box))), name
 
     def with_camera(self, change: dict[str, float]) -> "Annotation":
         """Change fields of the camera.
@@ -96,15 +96,19 @@ class Annotation(Spec):
         Raises:
             SpecError: a value is invalid.
         """
-        return self._with(camera=self.camera.model_copy(update=change))
+        return self.with_fields(camera=self.camera.model_copy(update=change))
 
-    def with_ground(self, label: str) -> "Annotation":
-        """Change the label of the ground.
+    def with_fields(self, **change: object) -> "Annotation":
+        """Change fields of the annotation itself, such as the label of the ground.
 
         Raises:
-            SpecError: the label is invalid.
+            SpecError: a value is invalid.
         """
-        return self._with(ground=label)
+        data = self.model_copy(update=change).model_dump(warnings=False)
+        try:
+            return Annotation.model_validate(data)
+        except ValidationError as error:
+            raise SpecError("; ".join(_reason(item) for item in error.errors())) from None
 
     def with_change(self, name: str, change: dict[str, Any]) -> "Annotation":
         """Change fields of one object; if its name changes, update the parent of its children.
@@ -122,19 +126,12 @@ class Annotation(Spec):
             else _moved(obj, name, change.get("name", name))
             for obj in self.objects
         )
-        return self._with(objects=tuple(objects))
+        return self.with_fields(objects=tuple(objects))
 
     def without(self, name: str) -> "Annotation":
         """Remove an object; its children move to the ground."""
         rest = (obj for obj in self.objects if obj.name != name)
-        return self._with(objects=tuple(_moved(obj, name, GROUND) for obj in rest))
-
-    def _with(self, **change: object) -> "Annotation":
-        data = self.model_copy(update=change).model_dump(warnings=False)
-        try:
-            return Annotation.model_validate(data)
-        except ValidationError as error:
-            raise SpecError("; ".join(_reason(item) for item in error.errors())) from None
+        return self.with_fields(objects=tuple(_moved(obj, name, GROUND) for obj in rest))
 
 
 def _moved(obj: AnnotatedObject, parent: str, new: str) -> AnnotatedObject:

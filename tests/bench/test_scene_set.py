@@ -8,14 +8,14 @@ from neoworld_bench.dataset.declaration import ARRANGEMENTS, Room, declaration, 
 from neoworld_bench.dataset.settle_scene import failures
 from neoworld_bench.dataset.truth_scene import truth_scene
 from neoworld_bench.methods.layout_errors import displaced, layout_errors, tilt_deg
-from neoworld_bench.methods.method_runs import RunSettings
+from neoworld_bench.methods.method_runs import RunSettings, run_jobs
 from neoworld_bench.methods.scene_methods import (
     SEARCHES,
 )
 from neoworld_bench.methods.scene_runs import (
     SceneRow,
     chosen_scenes,
-    run_scenes,
+    scene_rows,
 )
 from neoworld_bench.noise.initial_scenes import noise_number
 from neoworld_bench.rows import ROWS, RowStore
@@ -130,7 +130,8 @@ def test_stored_rows_are_not_run_again(tmp_path):
 
     def run():
         methods, store = ("open_loop", "guided"), RowStore(tmp_path / ROWS)
-        return run_scenes(("tents",), methods, settings, starts=1, store=store)
+        of = {"methods": methods, "settings": settings, "store": store}
+        return run_jobs(scene_rows, SceneRow, starts={"tents": range(1)}, **of)
 
     rows = run()
     assert [row.method for row in rows] == ["open_loop", "guided"]

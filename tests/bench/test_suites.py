@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from neoworld_bench import suites
+from neoworld_bench.bench_commands import check_numbers
 
 from neoworld_mjx import cli
 
@@ -40,3 +41,7 @@ def test_options_out_of_range_are_refused(words, message, capfd):
         cli.main(["bench", "run", *words.split(), "--json"])
     assert ended.value.code == 2
     assert json.loads(capfd.readouterr().out)["error"] == message
+
+
+def test_scenes_of_photos_are_counted_from_0():
+    check_numbers(suites.Photos(scenes=(0,)))

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from neoworld_bench.dataset.settle_scene import failures
-from neoworld_bench.methods.method_runs import RunSettings
+from neoworld_bench.methods.method_runs import MethodJob, RunSettings
 from neoworld_bench.tables.task_figures import success_interval, task_summary
 from neoworld_bench.tasks import (
     TaskPlan,
@@ -18,8 +18,8 @@ from neoworld_bench.tasks import (
     find_task,
     model_plans,
     success_runs,
-    wait,
 )
+from neoworld_bench.tasks.execution import judge
 from neoworld_bench.tasks.model_plans import (
     FeedbackResult,
     plan_figures,
@@ -28,8 +28,9 @@ from neoworld_bench.tasks.model_plans import (
     scene_of_method,
 )
 from neoworld_bench.tasks.plan_reliability import sampled_plans
-from neoworld_bench.tasks.success_runs import SuccessRow, run_successes
+from neoworld_bench.tasks.success_runs import SuccessRow, success_rows
 from neoworld_bench.tasks.task_scenes import photographed_task, put, scene_of, task_programs
+from neoworld_bench.tasks.world import World
 
 from neoworld_mjx import cli
 from neoworld_mjx.config import ComposeOptions, MLLMOptions, RefineOptions
@@ -75,6 +76,17 @@ def test_there_are_84_tasks_of_eight_kinds():
         find_task("cube_on_cub")
 
 
+def wait(scene, predicate):
+    """Simulate a scene without a gripper; return the outcome, and how far an object moved [m]."""
+    world, moved = World(scene, None), []
+    start = {item.name: world.pose(item.name).pos for item in scene.objects}
+
+    def watch(now, _):
+        moved.extend(np.linalg.norm(now.pose(name).pos - at) for name, at in start.items())
+
+    return judge(world, predicate, watch=watch), max(moved)
+
+
 def test_programs_of_tasks_pass_the_checks():
     for name, program in task_programs().items():
         built = build(program.program({}))
@@ -84,8 +96,8 @@ def test_programs_of_tasks_pass_the_checks():
 def test_reference_plan_succeeds_and_fails_for_a_displaced_object():
     outcome = execute(TASK.scene, TASK.plan, TASK.predicate)
     assert outcome.success and outcome.held == 1 and outcome.progress == 1
-    waiting = wait(TASK.scene, TASK.predicate)
-    assert not waiting.success and waiting.drift_m < 0.001
+    waiting, drift = wait(TASK.scene, TASK.predicate)
+    assert not waiting.success and drift < 0.001
     beside = with_moved(TASK, ("upper",), (0.02, 0.03))
     outcome = execute(beside, TASK.plan, TASK.predicate)
     assert not outcome.success and outcome.held == 0 and "upper within" in outcome.reason
@@ -104,7 +116,7 @@ def test_every_task_on_its_ground_truth(name):
     assert failures(task.scene) == []
     outcome = execute(task.scene, task.plan, task.predicate)
     assert outcome.success, outcome
-    assert not wait(task.scene, task.predicate).success
+    assert not wait(task.scene, task.predicate)[0].success
 
 
 def test_gripper_tracks_opening_and_pose():
@@ -145,7 +157,7 @@ def test_plans_transform_with_the_scene(name):
 
 @pytest.mark.slow
 def test_exact_response_leads_to_task_success():
-    (row,) = run_successes([TASK], ["open_loop"], EXACT, starts=1)
+    (row,) = success_rows(MethodJob(TASK.name, 0, ("open_loop",), EXACT, 1))
     assert row.on_truth and row.in_scene and row.valid and row.missed == 0
     assert row.shift_m < 1e-3 and row.object_error_m < 1e-3 and row.reason == ""
 
@@ -157,7 +169,7 @@ def test_an_error_after_the_layout_is_a_row_and_ends_no_run(monkeypatch, part):
 
     monkeypatch.setattr(success_runs, part, fail)
     settings = dataclasses.replace(EXACT, samples=2)
-    (row,) = run_successes([TASK], ["open_loop"], settings, starts=1)
+    (row,) = success_rows(MethodJob(TASK.name, 0, ("open_loop",), settings, 1))
     assert not row.on_truth and row.reason == "no result: ValueError: broken"
 
 

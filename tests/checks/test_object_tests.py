@@ -78,7 +78,7 @@ def test_joints_are_compared_with_their_declared_intent():
 def test_depth_at_impact_is_not_resting_depth(monkeypatch):
     # Dropped from 2 cm a block presses well over a millimetre into soft ground, then stands.
     monkeypatch.setattr(scenarios, "DROP_HEIGHT_M", 0.1)
-    tests = run_object_tests(scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))))
+    tests = run_object_tests(scenes.block("b", (0.1, 0.1, 0.1)))
     trajectory = next(t for t in tests.trajectories if t.scenario.name == "fall")
     assert trajectory.qpos[:, 2].min() < -0.001
     assert named(tests.verdict, "resting_depth:fall").value < 1e-4

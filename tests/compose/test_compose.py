@@ -77,7 +77,7 @@ def test_an_object_is_rescaled_to_its_box():
 
 
 def test_the_residual_of_isotropic_scaling_is_recorded_per_axis():
-    box = scenes.single("box", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    box = scenes.block("box", (0.1, 0.1, 0.1))
     result = composed([node("box", box, (1.0, 0, 0), size=(0.1, 0.1, 0.2))], {"box": box})
     factor = 2 ** (1 / 3)
     assert result.scales["box"] == pytest.approx(factor)
@@ -153,7 +153,7 @@ def test_a_book_that_overlaps_the_side_of_its_shelf_stays_on_its_board():
     sides = [(Box(size=(0.3, 0.02, 0.82)), (0, y, 0.0)) for y in (-0.41, 0.41)]
     shelf, book = (
         scenes.single("shelf", *boards, *sides),
-        scenes.single("book", (Box(size=(0.15, 0.03, 0.22)), (0, 0, 0))),
+        scenes.block("book", (0.15, 0.03, 0.22)),
     )
     result = composed(
         [node("shelf", shelf, (1.0, 0, 0)), node("book", book, (1.0, 0.395, 0.42), parent="shelf")],
@@ -363,7 +363,7 @@ def test_a_tilted_cube_settles_on_its_nearest_face(axis):
 @pytest.mark.parametrize("side", [0.035, 0.2])
 def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
-    bar = scenes.single("bar", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
+    bar = scenes.block("bar", (0.12, 0.014, 0.006))
     result = composed(
         [
             node("saucer", scenes.saucer(), (1.0, 0, 0)),
@@ -385,7 +385,7 @@ def test_an_object_tilted_on_a_saucer_is_settled_or_noted(side):
 
 def test_a_tilt_far_from_every_resting_pose_is_kept_and_noted():
     """A plate at 60 degrees would fall flat, twice as far as composition may turn it."""
-    plate = scenes.single("plate", (Box(size=(0.2, 0.2, 0.02)), (0, 0, 0)))
+    plate = scenes.block("plate", (0.2, 0.2, 0.02))
     tilt = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(60)).tolist())
     result = composed([node("plate", plate, (1.0, 0, 0.1), base_tilt=tilt)], {"plate": plate})
     assert result.scene.object("plate").base_tilt == pytest.approx(tilt)

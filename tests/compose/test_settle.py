@@ -17,7 +17,7 @@ TILTED = tuple(from_axis_angle((0.0, 1.0, 0.0), math.radians(12)).tolist())
 
 def on_saucer(xy=(0.0, 0.035)):
     saucer = SceneObject(name="saucer", spec=scenes.saucer(), z=0.0001)
-    bar = scenes.single("spoon", (Box(size=(0.12, 0.014, 0.006)), (0, 0, 0)))
+    bar = scenes.block("spoon", (0.12, 0.014, 0.006))
     spoon = SceneObject(name="spoon", spec=bar, parent="saucer", xy=xy, z=0.02, base_tilt=TILTED)
     table = SceneObject(name="table", spec=scenes.table(), environment=True, z=-0.04)
     return table, saucer.model_copy(update={"parent": "table", "z": 0.0401}), spoon
@@ -152,5 +152,5 @@ def test_an_object_keeps_apart_from_those_that_are_inside():
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2])
 def test_a_lid_has_the_footprint_of_its_jar_within_18_percent(scale, same, yaw):
     size = (0.2 * scale, 0.3, 0.02) if yaw == 0 else (0.3, 0.2 * scale, 0.02)
-    lid = SceneObject(name="lid", spec=scenes.single("lid", (Box(size=size), (0, 0, 0))), yaw=yaw)
+    lid = SceneObject(name="lid", spec=scenes.block("lid", size), yaw=yaw)
     assert has_same_footprint(tray(), lid) is same

@@ -18,7 +18,7 @@ from neoworld_mjx.physics.model import compile_for_simulation, compile_scene
 from neoworld_mjx.physics.model_fields import model_fields
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.posterior import PhysicalPrior, draw, draw_again
-from neoworld_mjx.spec import Box, Camera, SceneSpec, read_scene
+from neoworld_mjx.spec import Camera, SceneSpec, read_scene
 from neoworld_mjx.spec.correlation import PoseCorrelation
 from neoworld_mjx.spec.object import AuthoredInertia
 from neoworld_mjx.spec.scene import PoseUncertainty
@@ -28,10 +28,6 @@ OPTIONS = RefineOptions(check_duration_s=0.5)
 CAMERA = Camera(width=640, height_px=480, fovy=0.7, height=0.6, pitch=0.5)
 
 
-def block(name, size=(0.06, 0.06, 0.06)):
-    return scenes.single(name, (Box(size=size), (0, 0, 0)))
-
-
 def known(along=0.0, across=0.0, yaw=0.0, log_scale=0.0):
     return PoseUncertainty(along=along, across=across, yaw=yaw, log_scale=log_scale)
 
@@ -39,8 +35,8 @@ def known(along=0.0, across=0.0, yaw=0.0, log_scale=0.0):
 def two(first, second, correlation=None, **fields):
     """Two blocks on a table in front of a camera, with their uncertainties."""
     scene = scenes.on_table(
-        (block("one"), (0.0, 0.1), 0.0, {"uncertainty": first}),
-        (block("two"), (0.0, -0.1), 0.0, {"uncertainty": second, **fields}),
+        (scenes.block("one"), (0.0, 0.1), 0.0, {"uncertainty": first}),
+        (scenes.block("two"), (0.0, -0.1), 0.0, {"uncertainty": second, **fields}),
     )
     table = scene.objects[0].model_copy(update={"xy": (1.0, 0.0)})
     objects = (table, *scene.objects[1:])
@@ -91,11 +87,11 @@ def test_draws_have_heavy_tails_and_the_intervals_of_the_estimate():
 
 
 def test_an_object_on_a_wall_varies_along_the_wall():
-    wall = scenes.single("wall", (Box(size=(2.0, 0.1, 1.0)), (0, 0, 0)))
+    wall = scenes.block("wall", (2.0, 0.1, 1.0))
     stands = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.0, 0.5))
     on_wall = {"parent": "wall", "relation": "attached", "fixed_base": True, "xy": (0.0, -0.08)}
     board = scenes.SceneObject(
-        name="board", spec=block("board"), uncertainty=known(across=0.02), **on_wall
+        name="board", spec=scenes.block("board"), uncertainty=known(across=0.02), **on_wall
     )
     scene = SceneSpec(objects=(stands, board), camera=CAMERA)
     rng = np.random.default_rng(0)
@@ -133,7 +129,7 @@ def test_the_scene_of_a_draw_is_the_simulated_model(samples):
 
 def test_a_stated_inertia_varies_with_the_mass():
     inertia = AuthoredInertia(pos=(0, 0, 0.03), moments=(1e-3, 2e-3, 2.5e-3), products=(1e-4, 0, 0))
-    spec = block("one")
+    spec = scenes.block("one")
     part = spec.parts[0].model_copy(update={"mass": 0.8, "inertia": inertia})
     spec = spec.model_copy(update={"parts": (part,)})
     samples = nw.sample(scenes.on_table((spec, (0, 0), 0.0, {})), 2, options=OPTIONS)
@@ -211,7 +207,11 @@ def bridge():
     """A plank on two blocks; it falls if the second block moves away from under it."""
     scene = two(known(), known(across=0.08))
     plank = scenes.SceneObject(
-        name="plank", spec=block("plank", (0.04, 0.26, 0.01)), parent="one", xy=(0.0, -0.1), z=0.06
+        name="plank",
+        spec=scenes.block("plank", (0.04, 0.26, 0.01)),
+        parent="one",
+        xy=(0.0, -0.1),
+        z=0.06,
     )
     return scene.model_copy(update={"objects": (*scene.objects, plank), "camera": None})
 
@@ -291,7 +291,7 @@ def test_a_wall_gives_way():
     """A block 10 mm in front of a wall is drawn behind it; another block does not stop there."""
     given = known(along=0.04)
     scene = two(given, given, correlated(0.95))
-    wall = scenes.single("wall", (Box(size=(0.1, 0.3, 1.0)), (0, 0, 0)))
+    wall = scenes.block("wall", (0.1, 0.3, 1.0))
     behind = scenes.SceneObject(name="wall", spec=wall, environment=True, xy=(1.09, 0.25))
     scene = scene.model_copy(update={"objects": (*scene.objects, behind)})
     samples = nw.sample(scene, 12, options=OPTIONS, redraws=0, max_px=np.inf)

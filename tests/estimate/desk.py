@@ -10,12 +10,17 @@ from neoworld_mjx.render.rasterize import draw_objects
 from neoworld_mjx.spec import (
     Box,
     Box2D,
+    Box3D,
     Camera,
+    Cues,
     Cylinder,
     Material,
     SceneObject,
     SceneSpec,
+    SceneTree,
     Sphere,
+    TreeNode,
+    bounds,
     world_poses,
 )
 from tests.support.scenes import single
@@ -87,6 +92,27 @@ def boxed(scene):
         )
         objects.append(item.model_copy(update={"box2d": box}))
     return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def parsed(scene, scales, *, ahead=0.0, cues=None, **tree):
+    """The parse of a scene whose movable objects are `ahead` [m] and have sizes times `scales`."""
+    nodes = []
+    for item in boxed(scene).objects:
+        x, y, z = world_poses(scene)[item.name].pos
+        low, high = bounds(item.spec)
+        at = (x + (0.0 if item.environment else ahead), y, z + low[2])
+        size = tuple(((high - low) * scales.get(item.name, 1.0)).tolist())
+        node = TreeNode(
+            name=item.name,
+            label="thing",
+            parent=item.parent,
+            environment=item.environment,
+            box2d=item.box2d,
+            box3d=Box3D(position=at, size=size, yaw=item.yaw),
+            cues=(cues or {}).get(item.name, Cues()),
+        )
+        nodes.append(node)
+    return SceneTree(camera=scene.camera, nodes=tuple(nodes), **tree)
 
 
 def unknowns_of(scene):

@@ -13,7 +13,7 @@ from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.evidence.known_objects import KnownObjects, KnownSize
 from neoworld_mjx.pipeline.place import place
 from neoworld_mjx.search.cem import initial_sigma
-from neoworld_mjx.spec import Box3D, PartState, SceneTree, TreeNode, bounds, world_poses
+from neoworld_mjx.spec import PartState, bounds, world_poses
 from tests.estimate import desk
 from tests.support.furniture import chest
 from tests.support.scenes import compile_scene
@@ -27,23 +27,7 @@ def size_of(item):
 @pytest.fixture(scope="module")
 def parsed(five):
     """The parse of the desk, in which every object is 6 % too large and 2 cm too far."""
-    nodes = []
-    for item in desk.boxed(five).objects:
-        at = world_poses(five)[item.name].pos
-        low, high = bounds(item.spec)
-        off = 0.0 if item.environment else 0.02
-        size = (high - low) * (1.0 if item.environment else 1.06)
-        nodes.append(
-            TreeNode(
-                name=item.name,
-                label="thing",
-                parent=item.parent,
-                environment=item.environment,
-                box2d=item.box2d,
-                box3d=Box3D(position=(at[0] + off, at[1], at[2] + low[2]), size=size, yaw=item.yaw),
-            )
-        )
-    return SceneTree(camera=five.camera, nodes=tuple(nodes))
+    return desk.parsed(five, {o.name: 1.06 for o in five.objects if not o.environment}, ahead=0.02)
 
 
 def placed(five, parsed, photo, known):

@@ -22,7 +22,7 @@ from neoworld_mjx.estimate.prior import (
 from neoworld_mjx.estimate.problem import PLANE_DEVIATIONS
 from neoworld_mjx.evidence.evidence import Evidence
 from neoworld_mjx.pipeline.place import place
-from neoworld_mjx.spec import Box3D, Cues, SceneSpec, SceneTree, TreeNode, bounds, world_poses
+from neoworld_mjx.spec import Cues, SceneSpec, bounds
 from tests.estimate import desk
 
 WITHOUT_PIXELS = ComposeOptions(align=AlignOptions(enabled=False))
@@ -57,25 +57,7 @@ def deviations(scene, name):
 
 def parsed(scene, cues, **tree):
     """The parse of a scene, in which the can is 15 % too large, with stated cues by name."""
-    nodes = []
-    for item in desk.boxed(scene).objects:
-        at = world_poses(scene)[item.name].pos
-        low, high = bounds(item.spec)
-        node = TreeNode(
-            name=item.name,
-            label="thing",
-            parent=item.parent,
-            environment=item.environment,
-            box2d=item.box2d,
-            box3d=Box3D(
-                position=(at[0], at[1], at[2] + low[2]),
-                size=tuple(((high - low) * (1.15 if item.name == "can" else 1.0)).tolist()),
-                yaw=item.yaw,
-            ),
-            cues=cues.get(item.name, Cues()),
-        )
-        nodes.append(node)
-    return SceneTree(camera=scene.camera, nodes=tuple(nodes), **tree)
+    return desk.parsed(scene, {"can": 1.15}, cues=cues, **tree)
 
 
 def test_stated_deviations_replace_the_constants_within_a_factor_of_four(five):

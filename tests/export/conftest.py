@@ -1,5 +1,6 @@
 import pytest
 
+from neoworld_mjx.export import export_object, export_scene
 from neoworld_mjx.spec import Box, Camera, Lathe, ObjectSpec, SceneObject, SceneSpec
 from tests.support import mechanisms
 
@@ -47,3 +48,12 @@ def scene(cabinet) -> SceneSpec:
         ),
         camera=Camera(width=300, height_px=200, fovy=0.7, height=0.5, pitch=0.6),
     )
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory, scene, cabinet):
+    """The files of the scene, and in `alone` those of the cabinet."""
+    out = tmp_path_factory.mktemp("exported")
+    export_scene(scene, out)
+    export_object(cabinet, out / "alone")
+    return out

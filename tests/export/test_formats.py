@@ -7,8 +7,6 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 from scipy.spatial.distance import cdist
 
 from neoworld_mjx.export import (
-    export_object,
-    export_scene,
     mjcf_text,
     object_files,
     scene_files,
@@ -48,14 +46,6 @@ def mesh_corners(model, g):
     v = model.mesh_vertadr[m]
     turn = matrix(model.geom_quat[g])
     return model.mesh_vert[v : v + model.mesh_vertnum[m]] @ turn.T + model.geom_pos[g]
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, scene, cabinet):
-    out = tmp_path_factory.mktemp("run")
-    export_scene(scene, out)
-    export_object(cabinet, out / "alone")
-    return out
 
 
 def test_usd_states_masses_joints_and_limits(folder, cabinet):

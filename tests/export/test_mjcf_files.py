@@ -7,20 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_object, export_scene
 from neoworld_mjx.physics.mjcf import START, to_mjspec
 
 ROBOT = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="base" pos="3 0 0">
 <geom size=".1"/><body name="tip" pos="0 0 .2"><joint name="tip" axis="0 1 0" range="-1 1"/>
 <geom type="capsule" size=".03 .2"/></body></body></worldbody></mujoco>"""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, scene, cabinet):
-    out = tmp_path_factory.mktemp("mjcf")
-    export_scene(scene, out)
-    export_object(cabinet, out / "alone")
-    return out
 
 
 @pytest.mark.parametrize("file", ["scene.xml", "alone/object.xml"])

@@ -11,13 +11,6 @@ from neoworld_mjx.spec import Ellipsoid, HollowBox, ObjectSpec
 from tests.support.mechanisms import WOOD, geom, joint, part
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, cabinet):
-    out = tmp_path_factory.mktemp("urdf")
-    export_object(cabinet, out)
-    return out
-
-
 def tight_drawer() -> ObjectSpec:
     """A drawer that touches its case on three sides and below."""
     case = HollowBox(size=(0.3, 0.3, 0.2), wall=0.02, open=("+x",))
@@ -72,7 +65,7 @@ def test_an_ellipsoid_rests_on_a_face_of_its_mesh(tmp_path):
 
 
 def test_only_colliders_of_moving_parts_are_shrunk(folder):
-    root = ET.parse(folder / "object.urdf").getroot()
+    root = ET.parse(folder / "alone" / "object.urdf").getroot()
     sizes = {
         collision.get("name"): np.array(box.get("size").split(), float)
         for collision in root.iter("collision")
@@ -89,7 +82,7 @@ def test_only_colliders_of_moving_parts_are_shrunk(folder):
 
 
 def test_surface_friction_is_read_back_from_urdf(folder):
-    result = import_file(folder / "object.urdf").spec
+    result = import_file(folder / "alone" / "object.urdf").spec
     materials = {
         geom.name: result.material(geom.material).friction
         for part in result.parts
@@ -98,20 +91,20 @@ def test_surface_friction_is_read_back_from_urdf(folder):
     }
     # A link states the mean of its colliders.
     assert set(materials.values()) == {0.3, 0.35, 0.4}
-    root = ET.parse(folder / "object.urdf").getroot()
+    root = ET.parse(folder / "alone" / "object.urdf").getroot()
     door = next(link for link in root.findall("link") if link.get("name") == "links")
     # PyBullet multiplies the coefficients of two links: two such links have 0.4.
     lateral = float(door.find("contact/lateral_friction").get("value"))
     assert lateral**2 == pytest.approx(0.4, abs=1e-4)
     root.remove(root.find("neoworld"))
-    foreign = folder / "foreign.urdf"
+    foreign = folder / "alone" / "foreign.urdf"
     ET.ElementTree(root).write(foreign)
     assert {m.friction for m in import_file(foreign).spec.materials} >= {lateral}
 
 
 @pytest.mark.parametrize("file", ["object.urdf", "object.xml"])
 def test_sites_and_handles_are_read_back(file, folder, cabinet):
-    made = import_file(folder / file).spec
+    made = import_file(folder / "alone" / file).spec
     sites = {site.name: site for site in made.sites}
     # Imported objects stand in the middle of their own box.
     low = np.array(sites["pull"].pos) - (0.21, -0.18, 0.15)

@@ -5,17 +5,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from neoworld_mjx.export import export_scene
 from neoworld_mjx.export.write_sdf import sdf_text
 from neoworld_mjx.spec import world_poses
 from neoworld_mjx.spec.pose import matrix as rotation
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, scene):
-    out = tmp_path_factory.mktemp("worlds")
-    export_scene(scene, out)
-    return out
 
 
 def from_rpy(roll, pitch, yaw):

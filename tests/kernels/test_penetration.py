@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import noisy_layouts
 from neoworld_kernels import Colliders, PieceGroup, pair_depth_culled, pair_depth_reference
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +15,7 @@ from neoworld_mjx.physics.colliders import collect_colliders
 from neoworld_mjx.physics.layout import rotation
 from neoworld_mjx.physics.sampling import surface_samples
 from neoworld_mjx.spec import Box, Capsule, Cylinder, Ellipsoid, Lathe, Mesh, SceneObject, Sphere
-from tests.support.scenes import compile_scene, noisy_layouts, single, stored_scene
+from tests.support.scenes import compile_scene, single, stored_scene
 
 CORNERS = ((0.0, 0.0, 0.04), (0.03, 0.0, -0.02), (-0.02, 0.03, -0.02), (-0.02, -0.03, -0.02))
 SHAPES = {

@@ -7,13 +7,13 @@ from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.measure import measured
 from neoworld_mjx.physics import rest
 from neoworld_mjx.physics.colliders import snap_exactly
-from neoworld_mjx.spec import Box, HollowBox, SceneObject, Sphere
+from neoworld_mjx.spec import HollowBox, SceneObject, Sphere
 from neoworld_mjx.spec.pose import quat_mul
 from tests.support import scenes
 
 
 def box(name, size=(0.1, 0.1, 0.1)):
-    return scenes.single(name, (Box(size=size), (0, 0, 0)))
+    return scenes.block(name, size)
 
 
 @pytest.mark.parametrize("depth", [0.0004, 0.0009, 0.0011, 0.0019, 0.03])
@@ -33,7 +33,7 @@ def test_a_stack_stands_and_a_ball_on_a_slope_does_not():
     assert still.max_drift_m < 1e-3
     ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
     lean = {"base_tilt": (np.cos(0.2), 0, np.sin(0.2), 0)}
-    ramp = scenes.single("ramp", (Box(size=(0.3, 0.2, 0.02)), (0, 0, 0)))
+    ramp = scenes.block("ramp", (0.3, 0.2, 0.02))
     scene = scenes.on_table((ramp, (0, 0), 0.0, {**lean, "environment": True}))
     objects = (*scene.objects, SceneObject(name="ball", spec=ball, parent="ramp", z=0.1))
     rolling = measured(scene.model_copy(update={"objects": objects}))

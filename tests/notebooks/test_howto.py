@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from neoworld_bench.engines.table_scenes import noisy_layouts
 
 from neoworld_mjx.config import load_config
 from neoworld_mjx.physics.native import NativeEngine
@@ -32,7 +33,7 @@ def test_the_pages_term_is_short_and_is_used_from_its_config(tmp_path, monkeypat
 
     options = load_config(tmp_path / "square.yaml").refine
     scene = compile_scene(scenes.blocks())
-    layouts = jax.device_put(scenes.noisy_layouts(scene, 4))
+    layouts = jax.device_put(noisy_layouts(scene, 4))
     poses = scene.place(layouts)
     rollout = NativeEngine().rollout(scene, poses, duration=0.1)
     placed = measure_in_chunks(scene, poses, poses)
@@ -63,7 +64,7 @@ def test_the_pages_call_refines(tmp_path, monkeypatch):
 
 def test_what_the_page_lists_is_there():
     scene = compile_scene(scenes.blocks())
-    layouts = scenes.noisy_layouts(scene, 2)
+    layouts = noisy_layouts(scene, 2)
     rollout = NativeEngine().rollout(scene, scene.place(layouts), duration=0.1)
     given = {"scene": scene, "layouts": layouts, "rollout": rollout}
     rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if "| `" in line]

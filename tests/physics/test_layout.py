@@ -20,7 +20,7 @@ ABOUT_X = (HALF, HALF, 0.0, 0.0)
 
 def chain():
     """A tilted child on a turned parent; the boxes' origins are at the middle of their bottoms."""
-    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.3)), (0, 0, 0)))
+    block = scenes.block("block", (0.1, 0.1, 0.3))
     parent = SceneObject(name="parent", spec=block, xy=(1.0, 2.0), z=0.5, yaw=np.pi / 4)
     child = SceneObject(
         name="child",
@@ -65,7 +65,7 @@ def test_an_object_is_scaled_and_tilted_before_it_turns_on_its_support(degrees):
 
     If it were turned before it is tilted, it would stand on an edge.
     """
-    post = scenes.single("post", (Box(size=(0.1, 0.1, 0.3)), (0, 0, 0)))
+    post = scenes.block("post", (0.1, 0.1, 0.3))
     lying = {"base_tilt": ABOUT_X, "z": 0.04 + 0.05}
     scene = compile_scene(scenes.on_table((post, (0.02, 0.1), 0.0, lying)), samples=16)
     numbers = Layout.zero(2, 2)
@@ -82,7 +82,7 @@ def test_an_object_is_scaled_and_tilted_before_it_turns_on_its_support(degrees):
 @pytest.mark.parametrize("xp", [np, jnp])
 def test_a_chain_of_three_on_a_frame_beside_its_parent(xp):
     """Each offset is scaled by its own parent, and turned by the yaws below it."""
-    block = scenes.single("block", (Box(size=(0.1, 0.1, 0.3)), (0, 0, 0)))
+    block = scenes.block("block", (0.1, 0.1, 0.3))
     lowest = SceneObject(name="lowest", spec=block, xy=(1.0, 2.0), z=0.5)
     middle = SceneObject(name="middle", spec=block, parent="lowest", xy=(0.3, 0.1), z=0.3)
     top = SceneObject(name="top", spec=block, parent="middle", xy=(0.2, 0.4), z=0.3)
@@ -107,7 +107,7 @@ def test_an_object_that_is_turned_over_a_step_rests_on_it():
         (Box(size=(0.8, 0.8, 0.04)), (0, 0, 0)),
         (Box(size=(0.8, 0.3, 0.06)), (0, 0.25, 0.01)),
     )
-    bar = scenes.single("bar", (Box(size=(0.3, 0.04, 0.04)), (0, 0, 0)))
+    bar = scenes.block("bar", (0.3, 0.04, 0.04))
     below = SceneObject(name="stairs", spec=stairs, environment=True)
     beside = SceneObject(name="bar", spec=bar, parent="stairs", xy=(0.0, 0.0), z=0.04)
     a = arrange(SceneSpec(name="step", objects=(below, beside)))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from neoworld_mjx.physics.mjcf import to_mjspec
-from neoworld_mjx.physics.mjx_model import Rows, newton, put_compiled
+from neoworld_mjx.physics.mjx_model import Rows, newton, put_model
 from tests.support import scenes
 
 XML = """
@@ -73,7 +73,7 @@ def test_accelerations_are_those_of_mujoco(stepped):
 def test_a_scenes_elliptic_cones_become_pyramids_of_equal_impedances():
     model = to_mjspec(scenes.blocks()).compile()
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC and model.opt.impratio == 10
-    lowered = put_compiled(model, model.key("start").qpos).mjx.opt
+    lowered = put_model(model, model.key("start").qpos).mjx.opt
     assert lowered.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL
     assert float(lowered.impratio) == 1
     # The scene's own model, which other engines simulate, stays as it was.

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import noisy_layouts
 
 from neoworld_mjx.physics import model, native
 from neoworld_mjx.physics.engine import EarlyStop, RolloutStatus
@@ -10,7 +11,7 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.spec import Box
 from tests.support import scenes
-from tests.support.scenes import compile_scene, noisy_layouts, stored_scene
+from tests.support.scenes import compile_scene, stored_scene
 
 
 @pytest.fixture(scope="module", params=["primitives", "meshes"])

@@ -15,7 +15,7 @@ from neoworld_mjx.physics.placed import (
     pair_gaps,
     settling_displacement,
 )
-from neoworld_mjx.spec import Box, Sphere
+from neoworld_mjx.spec import Sphere
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -25,8 +25,8 @@ SMALL_TURN = np.radians(9.0)
 @pytest.fixture(scope="module")
 def shelf():
     """A shelf (a support) 1 cm deep in the table (a support), and a block 5 mm deep in it."""
-    box = scenes.single("shelf", (Box(size=(0.2, 0.2, 0.1)), (0, 0, 0)))
-    block = scenes.single("block", (Box(size=(0.06, 0.06, 0.06)), (0, 0, 0)))
+    box = scenes.block("shelf", (0.2, 0.2, 0.1))
+    block = scenes.block("block", (0.06, 0.06, 0.06))
     support = {"environment": True, "z": 0.03}
     spec = scenes.on_table(
         (box, (0, 0), 0.0, support),
@@ -82,7 +82,7 @@ def bodies():
     """A plate, a cube, a ball and a small plate."""
     sizes = {"plate": (0.2, 0.2, 0.1), "cube": (0.1, 0.1, 0.09), "small": (0.04, 0.02, 0.01)}
     items = [
-        (scenes.single(name, (Box(size=size), (0, 0, 0))), (0, 0.2 * k - 0.3), 0.0, {})
+        (scenes.block(name, size), (0, 0.2 * k - 0.3), 0.0, {})
         for k, (name, size) in enumerate(sizes.items())
     ]
     ball = scenes.single("ball", (Sphere(radius=0.05), (0, 0, 0)))

@@ -15,7 +15,7 @@ from neoworld_mjx.physics.model import compile_for_simulation
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.physics.placed import TILT_BOUND_LYING, settling_displacement
 from neoworld_mjx.physics.rest import rest, settle, settle_scene, with_damped_joints
-from neoworld_mjx.spec import Box, with_world_poses, world_poses
+from neoworld_mjx.spec import with_world_poses, world_poses
 from neoworld_mjx.spec.pose import from_axis_angle, pose
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -31,8 +31,8 @@ def tilt_of(item):
 
 def tilted(degrees=3.4):
     """A slab that stands on its edge, and a block."""
-    slab = scenes.single("slab", (Box(size=(0.1, 0.1, 0.02)), (0, 0, 0)))
-    block = scenes.single("block", (Box(size=(0.04, 0.04, 0.06)), (0, 0, 0)))
+    slab = scenes.block("slab", (0.1, 0.1, 0.02))
+    block = scenes.block("block", (0.04, 0.04, 0.06))
     tilt = tuple(from_axis_angle([1, 0, 0], np.radians(degrees)).tolist())
     return scenes.on_table(
         (slab, (0, 0), 0.0, {"base_tilt": tilt}), (block, (0.0, 0.2), 0.0, {}), name="tilted"
@@ -41,7 +41,7 @@ def tilted(degrees=3.4):
 
 def overlapping():
     """Two turned blocks that overlap by 1 cm."""
-    block = lambda name: scenes.single(name, (Box(size=(0.06, 0.06, 0.06)), (0, 0, 0)))
+    block = lambda name: scenes.block(name, (0.06, 0.06, 0.06))
     return scenes.on_table(
         (block("one"), (0.0, 0.0), 0.3, {}),
         (block("two"), (0.0, 0.055), 0.3, {}),
@@ -132,8 +132,8 @@ def test_a_settled_slab_lies_flat_however_little_it_was_tilted(degrees):
 
 def test_a_tilt_that_is_no_error_remains():
     """A slab that leans on a block keeps a tilt of 0.1 degrees: nothing is rounded to upright."""
-    slab = scenes.single("slab", (Box(size=(0.1, 0.1, 0.02)), (0, 0, 0)))
-    shim = scenes.single("shim", (Box(size=(0.02, 0.1, 0.0017)), (0, 0, 0)))
+    slab = scenes.block("slab", (0.1, 0.1, 0.02))
+    shim = scenes.block("shim", (0.02, 0.1, 0.0017))
     tilt = tuple(from_axis_angle([0, 1, 0], -np.radians(1.0)).tolist())
     scene = scenes.on_table(
         (shim, (0.045, 0.0), 0.0, {"fixed_base": True}),

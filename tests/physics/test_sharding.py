@@ -19,12 +19,13 @@ from neoworld_mjx.physics.engine import EarlyStop
 from neoworld_mjx.physics.guidance import Guidance
 from neoworld_mjx.physics.model import compile_scene
 from neoworld_mjx.spec import Sphere
+from neoworld_bench.engines.table_scenes import noisy_layouts
 from tests.support import scenes
 
 (out,) = sys.argv[1:]
 ball = scenes.single("ball", (Sphere(radius=0.03), (0, 0, 0)))
 scene = compile_scene(scenes.on_table((ball, (0, 0), 0.0, {})))
-poses = scene.place(scenes.noisy_layouts(scene, 16))
+poses = scene.place(noisy_layouts(scene, 16))
 # Those that fall stop early.
 lifted = np.array(poses.pos)
 lifted[3:, 1:, 2] += 0.05

@@ -47,9 +47,9 @@ def test_boxes_match_a_rendered_image(photographed, picture):
 
 
 def test_an_occluder_cuts_the_box():
-    far = scenes.single("far", (Box(size=(0.1, 0.2, 0.1)), (0, 0, 0)))
+    far = scenes.block("far", (0.1, 0.2, 0.1))
     # Its top is below the camera, not in the camera's plane.
-    near = scenes.single("near", (Box(size=(0.02, 0.2, 0.39)), (0, 0, 0)))
+    near = scenes.block("near", (0.02, 0.2, 0.39))
     spec = scenes.on_table((far, (0, 0), 0.0, {}), (near, (-0.2, 0), 0.0, {}))
     scene = compile_scene(spec, samples=64)
     xy = np.zeros((3, 3, 2), np.float32)
@@ -65,7 +65,7 @@ def test_a_pane_of_glass_is_visible_but_occludes_nothing():
     clear = Material(name="pane", density=2500, rgba=(0.8, 0.9, 0.9, 0.3))
     shown = {}
     for kind, material in (("clear", clear), ("opaque", scenes.CERAMIC)):
-        far = scenes.single("far", (Box(size=(0.1, 0.2, 0.1)), (0, 0, 0)))
+        far = scenes.block("far", (0.1, 0.2, 0.1))
         near = scenes.single("near", (Box(size=(0.02, 0.2, 0.4)), (0, 0, 0)), material=material)
         spec = scenes.on_table((far, (0, 0), 0.0, {}), (near, (-0.2, 0), 0.0, {}))
         scene = pad_scene(compile_scene(spec, samples=64))

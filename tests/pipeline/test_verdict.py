@@ -7,7 +7,7 @@ import pytest
 from neoworld_mjx.config import load_config
 from neoworld_mjx.pipeline import refine_again
 from neoworld_mjx.run_folder import RunFolder
-from neoworld_mjx.spec import Box, SceneSpec, world_poses
+from neoworld_mjx.spec import SceneSpec, world_poses
 from neoworld_mjx.view.scene_viewer import verdict_of
 from neoworld_mjx.view.target import open_target
 from tests.support import scenes
@@ -29,8 +29,8 @@ CONFIG = load_config(
 @pytest.fixture(scope="module")
 def fallen(tmp_path_factory):
     """A refined run in which a plate that would fall from its support is held there."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    low = scenes.block("low", (0.1, 0.1, 0.06))
+    plate = scenes.block("plate", (0.1, 0.06, 0.02))
     scene = scenes.on_table(
         (low, (0, 0), 0.0, {}), (plate, (0.12, 0.0), 0.0, {"parent": "low", "z": 0.06})
     )

@@ -32,8 +32,8 @@ NEAR = [FALLS + 1e-4 * k for k in range(6)]
 @pytest.fixture(scope="module")
 def models():
     """A plate on a block, composed where it falls and where it stands."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    low = scenes.block("low", (0.1, 0.1, 0.06))
+    plate = scenes.block("plate", (0.1, 0.06, 0.02))
     on_low = {"parent": "low", "z": 0.06}
     return {
         x: compile_scene(
@@ -91,8 +91,8 @@ def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models
 
 def test_what_does_not_rest_is_held_where_it_was_placed_and_the_rest_stands():
     """A plate over nothing, with a cube on it, beside a cube on the table."""
-    cube = lambda name: scenes.single(name, (Box(size=(0.04, 0.04, 0.04)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.2, 0.1, 0.02)), (0, 0, 0)))
+    cube = lambda name: scenes.block(name, (0.04, 0.04, 0.04))
+    plate = scenes.block("plate", (0.2, 0.1, 0.02))
     scene = scenes.on_table(
         (plate, (0.0, 0.0), 0.0, {"z": 0.1}),
         (cube("top"), (0.05, 0.0), 0.0, {"parent": "plate", "z": 0.02}),
@@ -116,8 +116,8 @@ def test_what_does_not_rest_is_held_where_it_was_placed_and_the_rest_stands():
 
 def test_an_object_is_held_with_the_objects_that_carry_it():
     """A cube beside the plate that should carry it falls; the plate, which rests, is fixed."""
-    cube = scenes.single("cube", (Box(size=(0.04, 0.04, 0.04)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.2, 0.1, 0.02)), (0, 0, 0)))
+    cube = scenes.block("cube", (0.04, 0.04, 0.04))
+    plate = scenes.block("plate", (0.2, 0.1, 0.02))
     on_plate = {"parent": "plate", "z": 0.1}
     scene = scenes.on_table((plate, (0, 0), 0.0, {}), (cube, (0.2, 0.0), 0.0, on_plate))
     failed = settle_and_check(compile_for_simulation(scene), scene, OPTIONS)

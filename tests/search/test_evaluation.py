@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from neoworld_bench.engines.table_scenes import Noise, noisy_layouts
 
 from neoworld_mjx.config import RefineOptions
 from neoworld_mjx.physics.engine import zero_duration_rollout
@@ -12,7 +13,7 @@ from neoworld_mjx.physics.scene_arrays import pad_objects
 from neoworld_mjx.search.algorithm import evaluate
 from neoworld_mjx.search.evaluation import early_stop_rule, open_evaluation
 from neoworld_mjx.search.searched_scene import compile_for_search
-from tests.support.scenes import noisy_layouts, stored_scene
+from tests.support.scenes import stored_scene
 
 POP = 8
 
@@ -57,7 +58,9 @@ def evaluation(model):
 
 @pytest.fixture(scope="module")
 def layouts(model, evaluation):
-    return pad_objects(noisy_layouts(model, POP, seed=1, xy=0.02), evaluation.arrays.count)
+    return pad_objects(
+        noisy_layouts(model, POP, seed=1, noise=Noise(xy=0.02)), evaluation.arrays.count
+    )
 
 
 def assert_near(a, b):

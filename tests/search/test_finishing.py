@@ -12,7 +12,7 @@ from neoworld_mjx.search import finishing
 from neoworld_mjx.search.evaluation import Round
 from neoworld_mjx.search.finishing import finish, settle_and_check
 from neoworld_mjx.search.searched_scene import free_to_move, with_resting_fixed
-from neoworld_mjx.spec import Box, Ellipsoid, bounds
+from neoworld_mjx.spec import Ellipsoid, bounds
 from neoworld_mjx.spec.pose import from_axis_angle
 from tests.support import scenes
 from tests.support.scenes import compile_scene
@@ -20,18 +20,14 @@ from tests.support.scenes import compile_scene
 OPTIONS = RefineOptions(check_duration_s=0.5)
 
 
-def block(name, size=(0.06, 0.06, 0.06)):
-    return scenes.single(name, (Box(size=size), (0, 0, 0)))
-
-
 def towers():
     """A plate that tips over a block's edge with a cube on it, and a tower that stands."""
     return scenes.on_table(
-        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
-        (block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, {"parent": "low", "z": 0.06}),
-        (block("cube", (0.02, 0.02, 0.02)), (0.0, 0.0), 0.0, {"parent": "plate", "z": 0.02}),
-        (block("base"), (0.0, -0.25), 0.0, {}),
-        (block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
+        (scenes.block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (scenes.block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, {"parent": "low", "z": 0.06}),
+        (scenes.block("cube", (0.02, 0.02, 0.02)), (0.0, 0.0), 0.0, {"parent": "plate", "z": 0.02}),
+        (scenes.block("base"), (0.0, -0.25), 0.0, {}),
+        (scenes.block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
         name="towers",
     )
 

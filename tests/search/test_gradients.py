@@ -8,7 +8,6 @@ import pytest
 
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.search import rewards
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -16,8 +15,8 @@ from tests.support.scenes import compile_scene
 @pytest.fixture(scope="module")
 def scene():
     """A table, an environment object, and two boxes of which one is 4 mm within the other."""
-    a = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    b = scenes.single("b", (Box(size=(0.08, 0.08, 0.08)), (0, 0, 0)))
+    a = scenes.block("a", (0.1, 0.1, 0.1))
+    b = scenes.block("b", (0.08, 0.08, 0.08))
     return compile_scene(scenes.on_table((a, (0, 0), 0.0, {}), (b, (0.086, 0), 0.0, {})))
 
 

@@ -14,7 +14,6 @@ from neoworld_mjx.search.optimizer import RandomSearch
 from neoworld_mjx.search.rewards import Term
 from neoworld_mjx.search.scorer import ScoreSource
 from neoworld_mjx.search.searched_scene import compile_for_search
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.constant_scorer import ConstantScorer
 
@@ -38,9 +37,9 @@ def options(iterations=2, population=POP, **given):
 
 def scene():
     """A plate that falls off its block, and a box that rests."""
-    low = scenes.single("low", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
-    box = scenes.single("box", (Box(size=(0.06, 0.06, 0.06)), (0, 0, 0)))
+    low = scenes.block("low", (0.1, 0.1, 0.06))
+    plate = scenes.block("plate", (0.1, 0.06, 0.02))
+    box = scenes.block("box", (0.06, 0.06, 0.06))
     on_low = {"parent": "low", "z": 0.06}
     return scenes.on_table(
         (low, (0, 0), 0.0, {}), (plate, (0.06, 0.0), 0.0, on_low), (box, (0.0, -0.25), 0.0, {})

@@ -14,7 +14,6 @@ from neoworld_mjx.search import refine
 from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.search.cem import open_cem
 from neoworld_mjx.search.evaluation import pad_rollout
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 
@@ -55,8 +54,8 @@ def test_padded_equals_unpadded(scene):
 
 def toppling(scene):
     """The scene with a plate that tips over the edge of a block, so that it is searched."""
-    block = scenes.single("base", (Box(size=(0.1, 0.1, 0.06)), (0, 0, 0)))
-    plate = scenes.single("plate", (Box(size=(0.1, 0.06, 0.02)), (0, 0, 0)))
+    block = scenes.block("base", (0.1, 0.1, 0.06))
+    plate = scenes.block("plate", (0.1, 0.06, 0.02))
     added = scenes.on_table(
         (block, (0.2, -0.3), 0.0, {}), (plate, (0.06, 0.0), 0.0, {"parent": "base", "z": 0.06})
     ).objects[1:]

@@ -15,24 +15,20 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.mjx_engine import MjxEngine
 from neoworld_mjx.physics.native import NativeEngine
 from neoworld_mjx.search import refine
-from neoworld_mjx.spec import Box, world_poses
+from neoworld_mjx.spec import world_poses
 from tests.support import scenes
 
 UNSETTLED = SettleOptions(enabled=False)
-
-
-def block(name, size=(0.06, 0.06, 0.06)):
-    return scenes.single(name, (Box(size=size), (0, 0, 0)))
 
 
 def toppling():
     """A plate whose center is 1 cm beyond its support's edge, and a tower that stands."""
     on_low = {"parent": "low", "z": 0.06}
     return scenes.on_table(
-        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
-        (block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, on_low),
-        (block("base"), (0.0, -0.25), 0.2, {}),
-        (block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
+        (scenes.block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (scenes.block("plate", (0.1, 0.06, 0.02)), (0.06, 0.0), 0.0, on_low),
+        (scenes.block("base"), (0.0, -0.25), 0.2, {}),
+        (scenes.block("top", (0.04, 0.04, 0.04)), (0.0, 0.0), 0.0, {"parent": "base", "z": 0.06}),
         name="toppling",
     )
 
@@ -40,9 +36,9 @@ def toppling():
 def clashing():
     """Two boxes that interpenetrate, and one half over the edge of another."""
     return scenes.on_table(
-        (block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
-        (block("side", (0.08, 0.08, 0.08)), (0.0, 0.082), 0.1, {}),
-        (block("high", (0.05, 0.05, 0.05)), (0.049, 0.0), 0.3, {"parent": "low", "z": 0.06}),
+        (scenes.block("low", (0.1, 0.1, 0.06)), (0, 0), 0.0, {}),
+        (scenes.block("side", (0.08, 0.08, 0.08)), (0.0, 0.082), 0.1, {}),
+        (scenes.block("high", (0.05, 0.05, 0.05)), (0.049, 0.0), 0.3, {"parent": "low", "z": 0.06}),
         name="clashing",
     )
 
@@ -51,8 +47,8 @@ def unreachable():
     """A picture that hangs in the air, and a box."""
     picture = {"relation": "attached", "z": 0.8}
     return scenes.on_table(
-        (block("box"), (0.0, 0.1), 0.0, {}),
-        (block("picture", (0.02, 0.2, 0.2)), (0.0, -0.2), 0.0, picture),
+        (scenes.block("box"), (0.0, 0.1), 0.0, {}),
+        (scenes.block("picture", (0.02, 0.2, 0.2)), (0.0, -0.2), 0.0, picture),
         name="unreachable",
     )
 

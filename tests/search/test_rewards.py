@@ -16,7 +16,6 @@ from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.search import rewards
 from neoworld_mjx.search.algorithm import evaluate, open_problem
 from neoworld_mjx.search.problem import open_terms
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 from tests.support.visible import as_parsed
@@ -25,8 +24,8 @@ from tests.support.visible import as_parsed
 @functools.cache
 def two_boxes(gap):
     """A scene that tests share, so that a program is compiled once for all of them."""
-    a = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
-    b = scenes.single("b", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    a = scenes.block("a", (0.1, 0.1, 0.1))
+    b = scenes.block("b", (0.1, 0.1, 0.1))
     return compile_scene(scenes.on_table((a, (0, 0), 0.0, {}), (b, (0.1 + gap, 0), 0.0, {})))
 
 

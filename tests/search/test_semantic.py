@@ -9,7 +9,6 @@ from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.scene_arrays import pad_scene
 from neoworld_mjx.physics.visibility import visibility
 from neoworld_mjx.search.semantic import semantic_score
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene, stored_scene
 from tests.support.visible import as_parsed
@@ -63,7 +62,7 @@ LEFT, RIGHT = (-50.0, -10.0, -30.0, 10.0), (20.0, -10.0, 60.0, 30.0)
 @pytest.fixture(scope="module")
 def two_blocks():
     rows = [
-        (scenes.single(name, (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0))), (x, 0.0), 0.0, {})
+        (scenes.block(name, (0.1, 0.1, 0.1)), (x, 0.0), 0.0, {})
         for name, x in (("left", -0.1), ("right", 0.1))
     ]
     return compile_scene(scenes.on_table(*rows), samples=16)

@@ -10,7 +10,6 @@ from neoworld_mjx.physics.engine import RolloutStatus, zero_duration_rollout
 from neoworld_mjx.physics.layout import Layout
 from neoworld_mjx.physics.placed import Placed
 from neoworld_mjx.search.algorithm import evaluate, open_problem
-from neoworld_mjx.spec import Box
 from tests.support import scenes
 from tests.support.scenes import compile_scene
 from tests.support.visible import as_parsed
@@ -28,7 +27,7 @@ VALID = {"still", "deep below it", "settled below it", "moved below"}
 @pytest.fixture(scope="module")
 def judged():
     """Scores of one candidate for each of STATES, and the indices of a and b."""
-    box = scenes.single("a", (Box(size=(0.1, 0.1, 0.1)), (0, 0, 0)))
+    box = scenes.block("a", (0.1, 0.1, 0.1))
     other = box.model_copy(update={"name": "b"})
     scene = compile_scene(
         scenes.on_table((box, (0, 0), 0.0, {}), (other, (0.3, 0), 0.0, {})), samples=16

@@ -6,7 +6,7 @@ from typing import Annotated, get_args
 import numpy as np
 import pytest
 
-from neoworld_mjx.spec import Box, JointSpec, Mimic, ObjectSpec, PartSpec, Shape, scale
+from neoworld_mjx.spec import JointSpec, Mimic, ObjectSpec, PartSpec, Shape, scale
 from neoworld_mjx.spec.base import Length, Number, ScalableSpec
 from neoworld_mjx.spec.dimensions import UNSCALED, Motion
 from neoworld_mjx.spec.object import AuthoredInertia
@@ -97,7 +97,7 @@ def test_a_mimic_scales_by_both_joints():
 
 
 def test_an_authored_inertia_scales_with_the_square_of_length():
-    spec = scenes.single("a", (Box(size=(0.1, 0.2, 0.3)), (0, 0, 0)))
+    spec = scenes.block("a", (0.1, 0.2, 0.3))
     inertia = AuthoredInertia(pos=(0.1, 0, 0), moments=(2, 3, 4), products=(0.1, 0.2, 0.3))
     part = spec.parts[0].model_copy(update={"mass": 2.0, "inertia": inertia})
     (big,) = scale(spec.model_copy(update={"parts": (part,)}), 2.0).parts

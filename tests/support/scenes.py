@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from neoworld_bench.engines import table_scenes
 
 from neoworld_mjx.physics import model
 from neoworld_mjx.physics.layout import Layout
@@ -15,14 +16,12 @@ from neoworld_mjx.spec import (
     Capsule,
     Cylinder,
     Ellipsoid,
-    GeomSpec,
     HollowBox,
     Lathe,
     Material,
     Mimic,
     ObjectSpec,
     Operand,
-    PartSpec,
     Prism,
     SceneObject,
     SceneSpec,
@@ -63,18 +62,12 @@ def _compiled(scene, options):
 
 def single(name, *shapes, material=WOOD):
     """One rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
-    geoms = tuple(
-        GeomSpec(
-            name=f"g{k}",
-            shape=row[0],
-            pos=row[1],
-            quat=row[2] if len(row) > 2 else (1, 0, 0, 0),
-            material=material.name,
-        )
-        for k, row in enumerate(shapes)
-    )
-    part = PartSpec(name="body", geoms=geoms)
-    return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
+    return table_scenes.single(name, *shapes, material=material)
+
+
+def block(name, size=(0.06, 0.06, 0.06)):
+    """A wooden box with edges of `size` [m]."""
+    return single(name, (Box(size=size), (0, 0, 0)))
 
 
 def table(size=(0.6, 0.8, 0.04)):
@@ -237,18 +230,4 @@ def random_layout(scene, pop, seed=0, spread=0.3):
         np.asarray(rng.normal(0, 0.01, (pop, n, 2)) * free[:, None], np.float32),
         np.asarray(rng.normal(0, 0.3, (pop, n)) * free, np.float32),
         np.asarray(rng.uniform(-spread, spread, (pop, n)) * free, np.float32),
-    )
-
-
-def noisy_layouts(scene, pop, *, seed=0, xy=0.14, yaw=np.pi / 12, log_scale=0.1):
-    """Layouts with Gaussian noise; xy is a share of the object's horizontal diagonal."""
-    free = np.asarray(scene.optimised, float)
-    normal = np.stack(
-        [np.random.default_rng((seed, k)).normal(size=(4, len(free))) for k in range(pop)]
-    )
-    offset = normal[:, :2].transpose(0, 2, 1) * (xy * np.asarray(scene.diagonal))[:, None]
-    return Layout(
-        np.asarray(offset * free[:, None], np.float32),
-        np.asarray(normal[:, 2] * yaw * free, np.float32),
-        np.asarray(normal[:, 3] * log_scale * free, np.float32),
     )

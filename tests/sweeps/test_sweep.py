@@ -6,6 +6,7 @@ import arro3.io
 import numpy as np
 import pytest
 import yaml
+from neoworld_bench.engines.table_scenes import Noise, noisy_layouts
 
 import neoworld_mjx as nw
 from neoworld_mjx.errors import ConfigError, RunError
@@ -15,7 +16,7 @@ from neoworld_mjx.sweeps import Case, Plan, ablate, merge, run, sweep
 from neoworld_mjx.sweeps.folder import SweepFolder, read_rows
 from neoworld_mjx.sweeps.plan import points, read_plan
 from neoworld_mjx.sweeps.runs import COLUMNS
-from tests.support.scenes import noisy_layouts, stored_scene
+from tests.support.scenes import stored_scene
 
 SCENE = Case("two", stored_scene("crowded_2"))
 BASE = {
@@ -100,7 +101,7 @@ def test_a_row_describes_one_refinement(swept):
 
 
 def test_a_case_may_have_a_start_and_errors():
-    start = lambda model, seed: noisy_layouts(model, 1, seed=seed, xy=0.05, yaw=0.1, log_scale=0.1)
+    start = lambda model, seed: noisy_layouts(model, 1, seed=seed, noise=Noise(0.05, 0.1, 0.1))
     noisy = Case("noisy", SCENE.scene, start, lambda scene: {"xy_m": 0.25})
     first, second = sweep(plan(axes={}), cases=[noisy]).rows
     assert first["xy_error_m"] == 0.25 and first["point"] == "base"

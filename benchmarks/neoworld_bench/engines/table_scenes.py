@@ -88,16 +88,15 @@ def noisy_layouts(
     return Layout(f32(xy * free[:, None]), f32(normal[:, 2] * n.yaw * free), f32(log_scale * free))
 
 
-def crowded(objects: int, *, seed: int = 0) -> SceneSpec:
+def crowded(objects: int) -> SceneSpec:
     """Return a table with boxes, cylinders, prisms, balls, rods and open containers.
 
     The clearance between neighbours is such that 40 to 80 % of noisy layouts fail.
 
     Args:
         objects: number of objects, without the table.
-        seed: of sizes and headings.
     """
-    rng = np.random.default_rng((seed, objects))
+    rng = np.random.default_rng((0, objects))
     gap = float(np.interp(math.log(objects), *_log_table(_GAPS)))
     items: list[SceneObject] = []
     discs: list[tuple[int, float]] = []
@@ -169,9 +168,7 @@ def _thing(kind: str, name: str, rng: np.random.Generator) -> tuple[ObjectSpec, 
     return single(name, (shape, (0, 0, 0))), math.hypot(x, y) / 2
 
 
-def single(
-    name: str, *shapes: tuple[Any, ...], material: Material = WOOD, mass: float | None = None
-) -> ObjectSpec:
+def single(name: str, *shapes: tuple[Any, ...], material: Material = WOOD) -> ObjectSpec:
     """Return a rigid object of shapes, each (shape, pos) or (shape, pos, quat)."""
     geoms = tuple(
         GeomSpec(
@@ -183,7 +180,7 @@ def single(
         )
         for k, row in enumerate(shapes)
     )
-    part = PartSpec(name="body", geoms=geoms, mass=mass)
+    part = PartSpec(name="body", geoms=geoms)
     return recentred(ObjectSpec(name=name, materials=(material,), parts=(part,)))
 
 
@@ -210,9 +207,9 @@ def _height(item: SceneObject) -> float:
     return float(high[2] - low[2])
 
 
-def block(name: str, x: float, y: float, z: float, **fields: Any) -> ObjectSpec:
+def block(name: str, x: float, y: float, z: float) -> ObjectSpec:
     """Return a wooden box with the given edges [m]."""
-    return single(name, (Box(size=(x, y, z)), (0, 0, 0)), **fields)
+    return single(name, (Box(size=(x, y, z)), (0, 0, 0)))
 
 
 def polygon(corners: int, radius: float) -> tuple[tuple[float, float], ...]:

@@ -65,71 +65,70 @@ class PhotoRow(Row):
 
 
 def photo_rows(
-    scenes: Sequence[int] = (),
+    number: int,
     *,
-    search: bool = True,
-    seed: int = 0,
-    compose_options: ComposeOptions | None = None,
-    refine_options: RefineOptions | None = None,
-    engine: str = "native",
+    search: bool,
+    seed: int,
+    compose_options: ComposeOptions,
+    refine_options: RefineOptions,
+    engine: str,
 ) -> Iterator[PhotoRow]:
-    """Run all steps on noisy responses; yield a row for each object.
+    """Run all steps on the noisy response to a scene; yield a row for each object.
 
     Args:
-        scenes: numbers; none selects all forty.
-        search: whether to refine the composed scenes.
-        seed: of the searches.
+        number: number of the scene.
+        search: whether to refine the composed scene.
+        seed: of the search.
         compose_options: of composition; `refit` says whether it moves objects to their 2D boxes.
         refine_options: of the refinement and of the final check.
         engine: that rolls candidates out.
 
     Raises:
-        EngineError: there is no such scene, or the engine cannot run here.
+        EngineError: the engine cannot run here.
     """
-    o, c = refine_options or RefineOptions(), compose_options or ComposeOptions()
+    o, c = refine_options, compose_options
     runner = open_engine(engine) if search else None  # pyright: ignore[reportArgumentType]
-    for number in chosen_numbers(scenes):
-        scene = photo_scene(number)
-        truth = exact_response(scene)
-        shapes = {item.name: item.spec for item in scene.objects}
-        response = noisy_response(truth, number)
-        picture = photograph(scene) if c.align.enabled else None
-        placed = place(response, shapes, Evidence(picture), c)
-        stages = {"composed": placed.composed.scene}
-        if placed.alignment is not None:
-            stages["aligned"] = placed.scene
-        if runner is not None:
-            again = c.align if placed.alignment is not None else None
-            rested = refine_placed(
-                placed.scene, o, seed=seed, engine=runner, photo=picture, again=again
-            )
-            stages["refined"] = rested.scene
-        checks = {
-            step: measured(at if step == "refined" else snap_exactly(at), o)
-            for step, at in stages.items()
-        }
-        ious = {step: visible_box_iou(at) for step, at in stages.items()}
-        boxes = {"response": {node.name: node.box3d for node in response.nodes}}
-        boxes |= {step: upright_boxes(at) for step, at in stages.items()}
-        unsound = _unsound(stages["composed"], checks["composed"], o)
-        right = {node.name: node.box3d for node in truth.nodes if not node.environment}
-        common = {step: _common_shift(of, right) for step, of in boxes.items()}
-        for item in scene.objects:
-            if item.environment:
-                continue
-            period = symmetry(item)
-            yield PhotoRow(
-                scene=number,
-                name=item.name,
-                unsound=item.name in unsound,
-                valid={step: passes(check, o) for step, check in checks.items()},
-                box_iou={step: round(of[item.name], 4) for step, of in ious.items()},
-                errors={
-                    step: _error(boxes[step][item.name], right[item.name], common[step], period)
-                    for step in STEPS
-                    if step in boxes
-                },
-            )
+    scene = photo_scene(number)
+    truth = exact_response(scene)
+    shapes = {item.name: item.spec for item in scene.objects}
+    response = noisy_response(truth, number)
+    picture = photograph(scene) if c.align.enabled else None
+    placed = place(response, shapes, Evidence(picture), c)
+    stages = {"composed": placed.composed.scene}
+    if placed.alignment is not None:
+        stages["aligned"] = placed.scene
+    if runner is not None:
+        again = c.align if placed.alignment is not None else None
+        rested = refine_placed(
+            placed.scene, o, seed=seed, engine=runner, photo=picture, again=again
+        )
+        stages["refined"] = rested.scene
+    checks = {
+        step: measured(at if step == "refined" else snap_exactly(at), o)
+        for step, at in stages.items()
+    }
+    ious = {step: visible_box_iou(at) for step, at in stages.items()}
+    boxes = {"response": {node.name: node.box3d for node in response.nodes}}
+    boxes |= {step: upright_boxes(at) for step, at in stages.items()}
+    unsound = _unsound(stages["composed"], checks["composed"], o)
+    right = {node.name: node.box3d for node in truth.nodes if not node.environment}
+    common = {step: _common_shift(of, right) for step, of in boxes.items()}
+    for item in scene.objects:
+        if item.environment:
+            continue
+        period = symmetry(item)
+        yield PhotoRow(
+            scene=number,
+            name=item.name,
+            unsound=item.name in unsound,
+            valid={step: passes(check, o) for step, check in checks.items()},
+            box_iou={step: round(of[item.name], 4) for step, of in ious.items()},
+            errors={
+                step: _error(boxes[step][item.name], right[item.name], common[step], period)
+                for step in STEPS
+                if step in boxes
+            },
+        )
 
 
 def chosen_numbers(scenes: Sequence[int]) -> tuple[int, ...]:

@@ -113,9 +113,7 @@ def moving_box_of(spec: ObjectSpec, child: str) -> Box:
 
 def canonical(truth: ObjectTruth) -> ObjectTruth:
     """Rotate the front to +x, and move the origin to the center of the box's bottom face."""
-    turn = quarter_turn(_TURNS[truth.front])
-    box = _turned(truth.box, turn)
-    origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
+    turn, box, origin = _canonical_frame(truth)
     joints = tuple(
         joint.model_copy(
             update={
@@ -133,10 +131,16 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
 
 def canonical_points(points: NDArray, truth: ObjectTruth) -> NDArray:
     """Transform points from a ground truth's frame to its canonical frame [m], shape [n, 3]."""
+    turn, _, origin = _canonical_frame(truth)
+    return np.asarray(points, float) @ turn.T - origin
+
+
+def _canonical_frame(truth: ObjectTruth) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the rotation to the canonical frame, the rotated box [2, 3] and its origin [m]."""
     turn = quarter_turn(_TURNS[truth.front])
     box = _turned(truth.box, turn)
     origin = np.array([(box[0, 0] + box[1, 0]) / 2, (box[0, 1] + box[1, 1]) / 2, box[0, 2]])
-    return np.asarray(points, float) @ turn.T - origin
+    return turn, box, origin
 
 
 def diagonal(truth: ObjectTruth) -> float:

@@ -123,8 +123,8 @@ def score_object(
     made: Path,
     truth: Path,
     *,
-    front: Front = "+x",
-    options: ProgramOptions | None = None,
+    front: Front,
+    options: ProgramOptions,
     samples: int = SAMPLES,
 ) -> Iterator[ObjectScoreRow]:
     """Yield the row of a ground-truth object.
@@ -140,13 +140,12 @@ def score_object(
     Raises:
         SpecError: the ground-truth object cannot be read.
     """
-    o = options or ProgramOptions()
-    true_spec = _object(object_files(truth)[name], o)
+    true_spec = _object(object_files(truth)[name], options)
     true = truth_of(true_spec).model_copy(update={"front": front})
     file, spec, reason = object_files(made).get(name), None, "not made"
     if file is not None:
         try:
-            spec, reason = _object(file, o), ""
+            spec, reason = _object(file, options), ""
         except SpecError as error:
             reason = str(error)[:300]
     joints = joint_measure(ObjectTruth(name=name, box=true.box) if spec is None else spec, true)

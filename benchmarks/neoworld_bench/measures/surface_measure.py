@@ -93,15 +93,15 @@ def geometry_measure(
     )
 
 
-def closeness(a: NDArray, b: NDArray, tree: KDTree | None = None) -> Closeness:
+def closeness(a: NDArray, b: NDArray, tree: KDTree) -> Closeness:
     """Return the Chamfer distance and F-scores between point sets `a` [n, 3] and `b` [m, 3].
 
     Args:
         a: points, divided by the diagonal of the ground truth.
         b: points in the same unit.
-        tree: KD-tree of `b`, if it is already built.
+        tree: KD-tree of `b`.
     """
-    forth = (tree or KDTree(b)).query(a)[0]
+    forth = tree.query(a)[0]
     back = KDTree(a).query(b)[0]
 
     def f(threshold: float) -> float:

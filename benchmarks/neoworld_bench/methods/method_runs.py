@@ -67,6 +67,12 @@ class MethodRow(Row):
 R = TypeVar("R", bound=MethodRow)
 
 
+def by_method(rows: Sequence[R]) -> Iterator[tuple[str, list[R]]]:
+    """Yield each method, with its evidence, and its rows."""
+    for label in dict.fromkeys(row.label for row in rows):
+        yield label, [row for row in rows if row.label == label]
+
+
 @dataclass(frozen=True)
 class RunSettings:
     """Settings of a run."""

@@ -182,7 +182,7 @@ def outcomes_of(
     engine: Engine,
     evidence: Callable[[], Evidence],
     *,
-    align: AlignOptions | None = None,
+    align: AlignOptions,
     seed: int = 0,
 ) -> Iterator[tuple[str, MethodResult]]:
     """Run methods from one initial scene, and yield each name with its result.
@@ -206,7 +206,7 @@ def outcomes_of(
         return initial.placed(dataclasses.replace(given(), photo=None)).scene
 
     for method in methods:
-        used = EVIDENCE.get(method, align or AlignOptions())
+        used = EVIDENCE.get(method, align)
         aligns = used.enabled and method not in UNALIGNED
         start, spent = composed(), 0.0
         if aligns:

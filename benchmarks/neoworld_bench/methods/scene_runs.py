@@ -11,7 +11,6 @@ from neoworld_mjx.checks.joint_sweep import sweep_combinations, sweep_joints
 from neoworld_mjx.checks.static_checks import Probe, is_placeholder
 from neoworld_mjx.config import JointSweepOptions
 from neoworld_mjx.errors import SpecError, choices
-from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import visible_box_iou
 from neoworld_mjx.spec import ObjectSpec, SceneSpec
 
@@ -19,10 +18,9 @@ from ..dataset.declaration import ARRANGEMENTS, declaration, declarations
 from ..dataset.truth_scene import photographed
 from ..noise.known_evidence import kinds_of
 from ..noise.parse_noise import NoiseLog
-from ..rows import RowStore
 from .layout_errors import camera_errors, layout_errors, validity
-from .method_runs import MethodJob, MethodRow, RunSettings, run_jobs
-from .scene_methods import MethodResult, check_methods
+from .method_runs import MethodJob, MethodRow, RunSettings
+from .scene_methods import MethodResult
 from .stated_deviations import stated_deviations
 from .submission import submission_name, submitted
 
@@ -164,41 +162,6 @@ def chosen_scenes(names: Sequence[str]) -> tuple[str, ...]:
         if name not in every + arrangements:
             raise SpecError(f"scenes: {choices(name, (*every, *arrangements, 'arrangements'))}")
     return tuple(names) or every
-
-
-def run_scenes(
-    scenes: Sequence[str],
-    methods: Sequence[str],
-    settings: RunSettings,
-    *,
-    starts: int,
-    machines: Machines = HERE,
-    store: RowStore | None = None,
-) -> list[SceneRow]:
-    """Run methods on scenes, except for rows that are already stored.
-
-    Args:
-        scenes: names of the scenes.
-        methods: names of methods, as for `check_methods`.
-        settings: settings of the run.
-        starts: number of initial scenes of each scene.
-        machines: where the methods run.
-        store: rows of an interrupted run, to which new ones are added; None keeps none.
-
-    Raises:
-        SpecError: a method is unknown.
-        RunError: as for `run_jobs`.
-    """
-    check_methods(methods)
-    return run_jobs(
-        scene_rows,
-        SceneRow,
-        starts=dict.fromkeys(scenes, range(starts)),
-        methods=methods,
-        settings=settings,
-        machines=machines,
-        store=store,
-    )
 
 
 def scene_rows(job: MethodJob) -> Iterator[SceneRow]:

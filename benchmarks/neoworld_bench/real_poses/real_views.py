@@ -248,7 +248,7 @@ def true_views(data: Path, names: Collection[str]) -> Iterator[TrueView]:
 def score_real_views(
     data: Path,
     runs: Path,
-    config: Config | None = None,
+    config: Config,
     kept: RowStore | None = None,
     *,
     place_with: Sequence[KnownView] = (),
@@ -270,7 +270,7 @@ def score_real_views(
     names = sorted(folder.name for folder in runs.iterdir() if folder.is_dir())
     rows: list[RealViewRow | RealObjectRow] = []
     for view in true_views(data, names):
-        score = partial(_scored, view, runs / view.name, config or Config(), place_with)
+        score = partial(_scored, view, runs / view.name, config, place_with)
         rows += (kept or RowStore(None)).rows(view.name, score)
     if not rows:
         raise SpecError(

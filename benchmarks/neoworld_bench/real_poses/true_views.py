@@ -34,8 +34,7 @@ from jaxtyping import Float, Int
 
 from neoworld_mjx.errors import SpecError
 from neoworld_mjx.export.load_mesh import joined, load_surfaces
-from neoworld_mjx.io import file_bounds, open_image, read_object
-from neoworld_mjx.io.files import MIB, read_bytes
+from neoworld_mjx.io import open_image, read_object, read_untrusted_bytes
 
 from ..measures.pose_measure import Intrinsics
 
@@ -88,10 +87,7 @@ def read_depth(file: Path, mm: float) -> Float[np.ndarray, "h w"]:
     Raises:
         SpecError: it cannot be read, or is no image of one channel.
     """
-    try:
-        data = read_bytes(file, file_bounds().max_file_mib * MIB)
-    except OSError as error:
-        raise SpecError(f"cannot read {file}: {error.strerror}") from None
+    data = read_untrusted_bytes(file, SpecError)
     with open_image(data, str(file), SpecError) as image:
         values = np.asarray(image)
     if values.ndim != 2 or values.dtype == bool:

@@ -1,12 +1,13 @@
 """Figures of methods on the thirty scenes: means with intervals, and differences."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from neoworld_mjx.sweeps.intervals import Interval, mean, ratio_interval
 
+from ..methods.method_runs import by_method
 from ..methods.scene_runs import SceneRow
 
 
@@ -85,12 +86,6 @@ def scene_summary(rows: Sequence[SceneRow]) -> dict[str, Any]:
         "coverage": {name: coverage(some) for name, some in by_method(rows)},
         "paper": PAPER,
     }
-
-
-def by_method(rows: Sequence[SceneRow]) -> Iterator[tuple[str, list[SceneRow]]]:
-    """Yield each method, with its evidence, and its rows."""
-    for label in dict.fromkeys(row.label for row in rows):
-        yield label, [row for row in rows if row.label == label]
 
 
 def figures(rows: Sequence[SceneRow]) -> dict[str, Any]:

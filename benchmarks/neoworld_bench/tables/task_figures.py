@@ -1,12 +1,13 @@
 """Task success by method and kind of task."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from neoworld_mjx.sweeps.intervals import Interval, ratio_interval
 
+from ..methods.method_runs import by_method
 from ..tasks.success_runs import SuccessRow
 
 SHARES: dict[str, Callable[[SuccessRow], bool]] = {
@@ -52,12 +53,7 @@ def task_summary(rows: Sequence[SuccessRow]) -> dict[str, Any]:
 
 
 def _figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
-    return {method: success_figures(some) for method, some in _by_method(rows)}
-
-
-def _by_method(rows: Sequence[SuccessRow]) -> Iterator[tuple[str, list[SuccessRow]]]:
-    for label in dict.fromkeys(row.label for row in rows):
-        yield label, [row for row in rows if row.label == label]
+    return {method: success_figures(some) for method, some in by_method(rows)}
 
 
 def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:

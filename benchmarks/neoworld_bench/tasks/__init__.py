@@ -5,7 +5,7 @@
 """
 
 from .catalogue import all_tasks, find_task, task_names
-from .execution import Outcome, execute, wait
+from .execution import Outcome, execute
 from .plan_format import TaskPlan, ToolMove
 from .task import ManipulationTask
 
@@ -18,5 +18,4 @@ __all__ = [
     "execute",
     "find_task",
     "task_names",
-    "wait",
 ]

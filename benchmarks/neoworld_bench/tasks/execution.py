@@ -1,7 +1,7 @@
 """Execution of plans in MuJoCo, and evaluation of predicates."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -28,7 +28,7 @@ Watch = Callable[[World, float], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a plan, or of waiting."""
+    """Outcome of a plan."""
 
     success: bool
     reason: str
@@ -37,12 +37,8 @@ class Outcome:
     """Closeness of the final state to success, in [0, 1]."""
     held: float
     """Share of the states of the last second that fulfil the predicate."""
-    lag_m: float = 0.0
-    """Maximum lag of the tool behind its target [m]."""
     seconds: float = 0.0
     """Simulated time [s]."""
-    drift_m: float = 0.0
-    """Maximum displacement of an object while waiting [m]."""
 
 
 def execute(
@@ -70,36 +66,19 @@ def execute(
     if depth > START_DEPTH_M:
         reason = f"the gripper starts {1000 * depth:.1f} mm deep in {where}"
         return Outcome(False, reason, float(predicate.progress(world)), 0.0)
-    lag = 0.0
     for targets in plan_path(plan):
-        lag = max(lag, _follow(world, plan, targets))
+        _follow(world, plan, targets)
         if watch is not None:
             watch(world, float(world.data.time))
         if world.diverged():
-            return Outcome(False, "the simulation diverged", 0.0, 0.0, lag, world.data.time)
-    return judge(world, predicate, SETTLE_S, lag, watch)
-
-
-def wait(scene: SceneSpec, predicate: Predicate, seconds: float = 2.0) -> Outcome:
-    """Simulate a scene without a gripper and evaluate the predicate over the last second."""
-    world = World(scene, None)
-    start = {item.name: world.pose(item.name).pos for item in scene.objects}
-    drift = 0.0
-
-    def watch(now: World, _: float) -> None:
-        nonlocal drift
-        moved = (np.linalg.norm(now.pose(name).pos - at) for name, at in start.items())
-        drift = max(drift, *(float(distance) for distance in moved))
-
-    outcome = judge(world, predicate, max(0.0, seconds - HOLD_S), 0.0, watch)
-    return replace(outcome, drift_m=drift)
+            return Outcome(False, "the simulation diverged", 0.0, 0.0, world.data.time)
+    return judge(world, predicate, SETTLE_S, watch)
 
 
 def judge(
     world: World,
     predicate: Predicate,
     settle: float = SETTLE_S,
-    lag: float = 0.0,
     watch: Watch | None = None,
 ) -> Outcome:
     """Simulate on with the present controls, and evaluate the predicate over the last second.
@@ -108,7 +87,6 @@ def judge(
         world: the simulation.
         predicate: what must hold in every state of the last HOLD_S.
         settle: time before [s].
-        lag: maximum lag of the tool so far [m].
         watch: called with the world and the time [s] every CONTROL_S.
     """
     substeps = round(CONTROL_S / TIMESTEP)
@@ -116,7 +94,7 @@ def judge(
     for k in range(round((settle + HOLD_S) / CONTROL_S)):
         mujoco.mj_step(world.model, world.data, substeps)
         if world.diverged():
-            return Outcome(False, "the simulation diverged", 0.0, 0.0, lag, world.data.time)
+            return Outcome(False, "the simulation diverged", 0.0, 0.0, world.data.time)
         if watch is not None:
             watch(world, float(world.data.time))
         if k >= round(settle / CONTROL_S):
@@ -125,7 +103,7 @@ def judge(
     success = held == 1.0
     reason = "" if success else f"not so for the last second: {predicate.meaning()}"
     progress = float(predicate.progress(world))
-    return Outcome(success, reason, progress, held, lag, float(world.data.time))
+    return Outcome(success, reason, progress, held, float(world.data.time))
 
 
 def plan_path(plan: TaskPlan) -> list[tuple[NDArray, NDArray, float]]:
@@ -165,11 +143,9 @@ def _eased(x: float) -> float:
     return x * x * (3 - 2 * x)
 
 
-def _follow(world: World, plan: TaskPlan, targets: tuple[NDArray, NDArray, float]) -> float:
+def _follow(world: World, plan: TaskPlan, targets: tuple[NDArray, NDArray, float]) -> None:
     displacement, orientation, opening = targets
     vector = np.zeros(3)
     mujoco.mju_quat2Vel(vector, orientation, 1.0)
     world.command(displacement, in_start_axes(plan, vector), opening)
     mujoco.mj_step(world.model, world.data, round(CONTROL_S / TIMESTEP))
-    goal = np.array(plan.position) + displacement
-    return float(np.linalg.norm(world.tool().pos - goal))

@@ -7,7 +7,7 @@ reference plans succeed.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from neoworld_mjx.environments.predicates import Predicate
 from neoworld_mjx.environments.samples import sample
-from neoworld_mjx.machines import HERE, Machines
 from neoworld_mjx.measure import measured
 from neoworld_mjx.spec import SceneSpec
 
 from ..methods.layout_errors import offsets, validity
-from ..methods.method_runs import MethodJob, MethodRow, RunSettings, run_jobs
-from ..methods.scene_methods import MethodResult, check_methods
+from ..methods.method_runs import MethodJob, MethodRow
+from ..methods.scene_methods import MethodResult
 from ..noise.parse_noise import NoiseLog
-from ..rows import RowStore
 from .catalogue import find_task
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
@@ -69,14 +67,11 @@ def planned_there(
         plan: a plan made there, such as a model's; by default the reference planner makes it.
     """
     began = time.perf_counter()
-    reconstructed_names = {item.name for item in reconstructed.objects}
-    names = [item.name for item in task.scene.objects if not item.environment]
-    present = [name for name in names if name in reconstructed_names]
-    offs = offsets(reconstructed, task.scene, present)
-    shift = common_offset(task, reconstructed)
-    error = None
+    present, absent = _matched(task, reconstructed)
+    shift, error = common_offset(task, reconstructed), None
     if task.object in present:
-        error = float(np.linalg.norm(offs[present.index(task.object)] - shift))
+        (offset,) = offsets(reconstructed, task.scene, [task.object])
+        error = float(np.linalg.norm(offset - shift))
     plan = _planned(task, reconstructed) if plan is None else plan
     if isinstance(plan, TaskPlan):
         back = (-float(shift[0]), -float(shift[1]), 0.0)
@@ -84,8 +79,7 @@ def planned_there(
         unaligned = execute(task.scene, plan, task.predicate)
         in_scene = _carried_out(task, reconstructed, plan)
     else:
-        missing = [name for name in names if name not in reconstructed_names]
-        plan += f"; the scene has no {', '.join(missing)}" if missing else ""
+        plan += f"; the scene has no {', '.join(absent)}" if absent else ""
         on_truth = in_scene = unaligned = failed(f"no plan: {plan}")
     return PlannedThere(
         on_truth,
@@ -100,12 +94,17 @@ def planned_there(
 
 def common_offset(task: ManipulationTask, reconstructed: SceneSpec) -> NDArray:
     """Return the median horizontal offset of the objects from the ground truth [2] m."""
-    known = {item.name for item in reconstructed.objects}
-    names = [item.name for item in task.scene.objects if not item.environment]
-    present = [name for name in names if name in known]
+    present, _ = _matched(task, reconstructed)
     if not present:
         return np.zeros(2)
     return np.median(offsets(reconstructed, task.scene, present), axis=0)
+
+
+def _matched(task: ManipulationTask, reconstructed: SceneSpec) -> tuple[list[str], list[str]]:
+    """Return the names of the task's objects that a reconstruction has, and of those it lacks."""
+    known = {item.name for item in reconstructed.objects}
+    names = [item.name for item in task.scene.objects if not item.environment]
+    return [n for n in names if n in known], [n for n in names if n not in known]
 
 
 def _planned(task: ManipulationTask, reconstructed: SceneSpec) -> TaskPlan | str:
@@ -189,41 +188,6 @@ class SuccessRow(MethodRow):
         """Line of the log."""
         done = "done" if self.on_truth else f"not done ({self.reason})"
         return f"{self.task} start {self.start} {self.label}: {done}, {self.seconds:.1f} s"
-
-
-def run_successes(
-    tasks: Sequence[ManipulationTask],
-    methods: Sequence[str],
-    settings: RunSettings,
-    *,
-    starts: int,
-    machines: Machines = HERE,
-    store: RowStore | None = None,
-) -> list[SuccessRow]:
-    """Run methods on tasks, except for rows that are already stored.
-
-    Args:
-        tasks: manipulation tasks.
-        methods: of scene_methods.METHODS, and TRUTH.
-        settings: of the run.
-        starts: number of initial scenes of each task.
-        machines: where they run.
-        store: rows of an interrupted run, to which new ones are added; None keeps none.
-
-    Raises:
-        SpecError: a method is unknown.
-        RunError: as for `run_jobs`.
-    """
-    check_methods(methods, [TRUTH])
-    return run_jobs(
-        success_rows,
-        SuccessRow,
-        starts={task.name: range(starts) for task in tasks},
-        methods=methods,
-        settings=settings,
-        machines=machines,
-        store=store,
-    )
 
 
 def success_rows(job: MethodJob) -> Iterator[SuccessRow]:

@@ -29,7 +29,7 @@ from neoworld_mjx.spec import (
     bounds,
     world_poses,
 )
-from neoworld_mjx.spec.pose import IDENTITY, Pose, from_yaw, pose, quat_mul
+from neoworld_mjx.spec.pose import IDENTITY, Pose, from_yaw, pose, quat_mul, triple
 from neoworld_mjx.spec.scene import transformed_scene
 from neoworld_mjx.templates import read_template, templates
 from neoworld_mjx.templates.template import Template, Value
@@ -129,8 +129,7 @@ def grown(truth: SceneSpec, scene: SceneSpec, name: str) -> np.ndarray:
 
 def in_other(truth: SceneSpec, scene: SceneSpec, name: str, point: Vec3) -> Vec3:
     """Return a point of an object's frame at the same share of its box in another scene [m]."""
-    x, y, z = (np.array(point) * grown(truth, scene, name)).tolist()
-    return x, y, z
+    return triple(np.array(point) * grown(truth, scene, name))
 
 
 def goal_on(
@@ -161,8 +160,6 @@ BESIDE_DEG = (0.0, 30.0, -30.0, 60.0, -60.0)
 """Views, counted from the front of objects, which is +x in a task's scene."""
 LEAST_SHOWN = 0.5
 """Share of every object that a view should show: the first that does is taken."""
-VIEW = (PITCH, FOVY, MARGIN, *BESIDE_DEG, LEAST_SHOWN)
-"""The rule's numbers."""
 
 
 class TaskPhoto(NamedTuple):

@@ -14,6 +14,7 @@ from ...checks.signals import Signal, error_signal
 from ...config import ProgramOptions
 from ...errors import choices
 from ...io.names import identifier
+from ...spec.pose import triple
 from ..part import Joint, Part, Shape
 from ..sandbox import exception_signal, limit_signal
 from ..sdk_object import Object
@@ -53,9 +54,7 @@ def run_blender(text: str, session: Session, options: ProgramOptions) -> tuple[s
     return output.printed, build_object(output.scene, session, options)
 
 
-def build_object(
-    scene: BlenderScene, session: Session, options: ProgramOptions | None = None
-) -> list[Signal]:
+def build_object(scene: BlenderScene, session: Session, options: ProgramOptions) -> list[Signal]:
     """Create the object of an untrusted scene in a session, and return errors and warnings.
 
     Args:
@@ -63,7 +62,6 @@ def build_object(
         session: collects the object and counts the resources that it uses.
         options: limits the time for splitting shapes into convex pieces (`blender_timeout_s`).
     """
-    options = options or ProgramOptions()
     if scene.error is not None:
         return [_raised(scene)]
     try:
@@ -231,8 +229,7 @@ def _direction(value: list[float] | str | None) -> Any:
 
 def _rounded(values: list[float]) -> tuple[float, float, float]:
     """Round to 7 decimals, which is about the precision of Blender's floats."""
-    x, y, z = (np.round(values, 7) + 0.0).tolist()
-    return x, y, z
+    return triple(np.round(values, 7) + 0.0)
 
 
 def _prerequisite_names(joint: BlenderJoint) -> list[str]:

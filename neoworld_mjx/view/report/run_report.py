@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...config import Config
 from ...errors import NeoWorldError, RunError
 from ...io import read_arrays
-from ...io.files import write_atomic
+from ...io.files import write_output
 from ...quantities import count
 from ...run_folder import STEPS, read_run, refuse_links, step_times, verdict_line
 from ...spec import read_scene
@@ -64,11 +64,8 @@ def write_report(folder: Path) -> Path:
         [scene_3d.script_hash()],
     )
     path = folder / "report.html"
-    try:
-        # JSON escapes may contain unpaired surrogates, which become question marks.
-        write_atomic(path, page.encode("utf-8", "replace"))
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
+    # JSON escapes may contain unpaired surrogates, which become question marks.
+    write_output(path, page.encode("utf-8", "replace"), RunError)
     return path
 
 
