@@ -56,6 +56,8 @@ class Winner(NamedTuple):
     finished: Finished
     tried: int
     """Number of candidates whose final scene was checked."""
+    rejected: Finished | None = None
+    """Final scene of the best candidate, if no candidate passed."""
 
 
 def settle_and_check(
@@ -188,16 +190,16 @@ def choose_winner(
     ranked = rank_candidates(rounds)
     tries = min(o.finalists, len(ranked))
     unmoved = Winner(INITIAL, Layout.zero(1, len(world.names)), initial, tries)
-    best = unmoved if o.settle.enabled or not ranked else None
+    best, rejected = unmoved if o.settle.enabled or not ranked else None, None
     for tried, (t, k) in enumerate(ranked[:tries], 1):
         update(done=tried, of=tries, unit="final check", rate=None, left_s=None)
         finished = finish(world, searched, rounds[t], k, o)
         winner = Winner((t, k), rounds[t].layouts[k : k + 1], finished, tried)
         if finished.passed:
             return winner
-        best = best or winner
+        best, rejected = best or winner, rejected or finished
     assert best is not None
-    return best._replace(tried=tries)
+    return best._replace(tried=tries, rejected=rejected)
 
 
 def hold_failing(composed: SceneSpec, finished: Finished, o: RefineOptions) -> Finished:

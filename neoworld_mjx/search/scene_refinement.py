@@ -248,10 +248,10 @@ def refine(
             winner = winner._replace(finished=finished)
     fallbacks = () if scorer is None else scorer.fallbacks
     if not winner.finished.passed:
-        failed = [c.phrase() for c in scene_checks(winner.finished.measure, o) if not c.passed]
-        fallbacks += (
-            f"no candidate passed the final check in {winner.tried} tries: {'; '.join(failed)}",
-        )
+        failed = _failures(winner.finished, o)
+        if winner.rejected is not None and o.settle.enabled:
+            failed += f" (the best candidate: {_failures(winner.rejected, o)})"
+        fallbacks += (f"no candidate passed the final check in {winner.tried} tries: {failed}",)
     kept = np.flatnonzero(initial.rests(o) & is_optimised(spec))
     return Refined(
         scene=winner.finished.scene,
@@ -269,6 +269,11 @@ def refine(
         scoring={} if scorer is None else scorer.summary(),
         world=world,
     )
+
+
+def _failures(finished: Finished, o: RefineOptions) -> str:
+    """Return the failed checks of a final scene in one line."""
+    return "; ".join(c.phrase() for c in scene_checks(finished.measure, o) if not c.passed)
 
 
 def initial_line(initial: Finished, o: RefineOptions) -> str:

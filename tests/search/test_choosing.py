@@ -78,6 +78,8 @@ def test_if_no_candidate_passes_the_initial_layout_wins(models):
     chosen = choose_winner(world, model, rounds, o, initial)
     assert chosen.candidate == INITIAL and chosen.finished is initial and not initial.passed
     assert chosen.tried == o.finalists == 3
+    assert chosen.rejected is not None and not chosen.rejected.passed
+    assert chosen.rejected is not initial
 
 
 def test_without_settling_the_best_candidate_is_returned_even_if_it_fails(models):
