@@ -52,7 +52,6 @@ GPU_TABLES = {
     "policies": _PANDA,
     "policies_depth": f"{_PANDA} --evidence fov+depth",
     "policies_no_simulation": f"{_PANDA} --method no_simulation",
-    "policies_open_loop": f"{_PANDA} --method open_loop",
 }
 """Tables that need an NVIDIA GPU; they are made only if they are named."""
 

@@ -54,8 +54,8 @@ class SceneMeasure(Spec):
     """Names of the objects that were fixed in their places, since they do not rest there."""
     displacement: dict[str, float] | None = None
     """Displacement of each movable object by settling from the pose at which it was placed,
-    relative to its limit (`physics.placed.settling_displacement`); None for a scene that was
-    measured as it is."""
+    relative to its limit (`physics.placed.settling_displacement`), or, if that is more, from its
+    estimate (`search.finishing.deviations_from`); None for a scene that was measured as it is."""
 
 
 def measured(scene: SceneSpec, o: RefineOptions | None = None) -> SceneMeasure:

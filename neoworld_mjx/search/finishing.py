@@ -3,6 +3,7 @@
 All of them are candidates of one compiled scene, the composed one.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,11 @@ from ..physics.colliders import snap_exactly
 from ..physics.layout import Layout
 from ..physics.model import CompiledScene, SceneModel, compile_for_simulation
 from ..physics.native import NativeEngine
+from ..physics.photo_view import photo_deviations
 from ..physics.rest import settle
 from ..progress import update
-from ..spec import SceneObject, SceneSpec, bounds, world_poses
+from ..spec import SceneObject, SceneSpec, bounds, support_frame, world_poses
+from ..spec.pose import yaw_of
 from .evaluation import Round
 
 RELEASES = 2
@@ -113,8 +116,8 @@ def check_settled(
 def deviations_from(estimate: SceneSpec, scene: SceneSpec, least_m: float) -> dict[str, float]:
     """Return the horizontal distances of movable objects from their estimated places.
 
-    They are in standard deviations along and across the view (`SceneObject.uncertainty`), and
-    concern the objects that were aligned with the photograph.
+    They are in standard deviations (Mahalanobis distances) by `physics.photo_view`, and concern the
+    objects that were aligned with the photograph.
 
     Args:
         estimate: the composed scene.
@@ -122,18 +125,17 @@ def deviations_from(estimate: SceneSpec, scene: SceneSpec, least_m: float) -> di
         least_m: a further standard deviation in both directions [m], by which objects move in
             physics: where they touch, they push each other as far as their shapes are wrong.
     """
-    found = {}
-    eye = np.zeros(2) if estimate.camera is None else estimate.camera.position()[:2]
+    axes, _ = photo_deviations(estimate)
+    poses, found = world_poses(estimate), {}
     places, ends = (_middles(each) for each in (estimate, scene))
-    for item in estimate.objects:
-        if item.uncertainty is None or item.static:
+    for k, item in enumerate(estimate.objects):
+        if item.uncertainty is None or item.static or item.parent is None:
             continue
-        place = places[item.name]
-        ahead = (place - eye) / np.linalg.norm(place - eye)
-        shift = ends[item.name] - place
-        known = np.array([item.uncertainty.along, item.uncertainty.across])
-        along_across = np.array([shift @ ahead, ahead[0] * shift[1] - ahead[1] * shift[0]])
-        found[item.name] = float(np.linalg.norm(along_across / np.hypot(known, least_m)))
+        frame = support_frame(estimate.object(item.parent), poses[item.parent], item.parent_link)
+        c, s = math.cos(yaw_of(frame.quat)), math.sin(yaw_of(frame.quat))
+        shift = np.array([[c, s], [-s, c]]) @ (ends[item.name] - places[item.name])
+        covariance = axes[k] @ axes[k].T + least_m**2 * np.eye(2)
+        found[item.name] = math.sqrt(shift @ np.linalg.solve(covariance, shift))
     return found
 
 

@@ -266,9 +266,9 @@ def mushroom():
 
 def test_only_what_cannot_stand_without_its_container_depends_on_its_scene():
     shapes = (Capsule(radius=0.005, length=0.1), Box(size=(0.05, 0.05, 0.05)))
-    pen, block = (scenes.single("thing", (shape, (0, 0, 0))) for shape in shapes)
+    pen, block = (scenes.single("pen", (shape, (0, 0, 0))) for shape in shapes)
     for spec, relation, depends in ((pen, "in", True), (pen, "on", False), (block, "in", False)):
-        where = node("thing", spec, (1.0, 0.0, 0.0), relation=relation)
+        where = node("pen", spec, (1.0, 0.0, 0.0), relation=relation)
         assert pose_without_scene(where, spec, level=False) == (where.base_tilt, depends)
 
 

@@ -148,7 +148,7 @@ def test_a_script_places_a_block_and_lets_go(scene, shape, words, drops):
     mount = propose_mount(task, ARM)
     end = reachable(task, ARM, mount).path[-1].pos - [0.7, -0.4, 0.05] - task.goal.target
     assert (end[2] > 0.05) == drops
-    # What falls falls at the middle, other things go to the nearest place well within the goal.
+    # What falls falls at the middle, other objects go to the nearest place well within the goal.
     assert np.hypot(*end[:2]) == pytest.approx(0.0 if drops else 0.6 * task.goal.radius, abs=0.01)
     on = task.on(controlled_scene(task.scene, robot=ARM, mount=mount))
     script = arm_script(on, ARM, mount)

@@ -179,9 +179,9 @@ def test_violations_of_a_goal_add_up(scene):
         view = tasks.StateView(controlled, state_of(controlled, board=[*at, 1, 0, 0, 0]))
         return float(goal.distance(view))
 
-    beside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
+    aside, above = distance(task.goal.radius + 0.2, 0.0), distance(0.0, 0.1)
     assert distance(0.0, 0.0) == 0
-    assert 0.15 < beside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
-    assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(beside + above)
+    assert 0.15 < aside < 0.25 and above == pytest.approx(0.1 - task.goal.high)
+    assert distance(task.goal.radius + 0.2, 0.1) == pytest.approx(aside + above)
     lying = task.goal.model_copy(update={"tilt": (1.5, 3.0)})
     assert distance(0.0, 0.1, lying) == pytest.approx(above + 0.1 * 1.5)

@@ -104,7 +104,7 @@ def parsed(scene, scales, *, ahead=0.0, cues=None, **tree):
         size = tuple(((high - low) * scales.get(item.name, 1.0)).tolist())
         node = TreeNode(
             name=item.name,
-            label="thing",
+            label="box",
             parent=item.parent,
             environment=item.environment,
             box2d=item.box2d,
