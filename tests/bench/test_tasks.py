@@ -196,16 +196,20 @@ def test_success_summary_by_method_and_kind():
 
 
 def test_reliability_compares_success_in_draws_with_success_in_the_truth():
-    row = partial(_row, kind="stacking", method="ours", draws=8)
+    def row(task, on_truth, predicted, on_truths, chosen_predicted=None, chosen_on_truth=None):
+        drawn = {"predicted": predicted, "on_truths": on_truths, "draws": 8}
+        chosen = {"chosen_predicted": chosen_predicted, "chosen_on_truth": chosen_on_truth}
+        return _row(task, "stacking", "ours", on_truth, **drawn, **chosen)
+
     rows = [
-        row("a", on_truth=True, predicted=0.9, chosen_predicted=0.9, chosen_on_truth=True),
-        row("b", on_truth=False, predicted=1.0, chosen_predicted=1.0, chosen_on_truth=True),
-        row("c", on_truth=False, predicted=0.1, chosen_predicted=0.5, chosen_on_truth=False),
-        row("d", on_truth=True, predicted=None),
+        row("a", True, 0.9, 0.5, 0.9, True),
+        row("b", False, 1.0, 0.25, 1.0, True),
+        row("c", False, 0.1, 0.0, 0.5, False),
+        row("d", True, None, None),
     ]
     figures = task_summary(rows)["methods"]["ours"]
-    assert [(b["n"], b["success"]) for b in figures["reliability"]] == [(1, 0.0), (2, 0.5)]
-    assert figures["reliability_error"] == pytest.approx((0.1 + 2 * 0.45) / 3)
+    assert [(b["n"], b["success"]) for b in figures["reliability"]] == [(1, 0.0), (2, 0.375)]
+    assert figures["reliability_error"] == pytest.approx((0.1 + 2 * 0.575) / 3)
     assert figures["success_of_chosen"] == pytest.approx(2 / 3)
     assert figures["attempted"] == pytest.approx(2 / 3) and figures["success_of_attempted"] == 1.0
     assert "reliability" not in task_summary(rows[3:])["methods"]["ours"]
@@ -217,14 +221,14 @@ def test_the_plan_that_succeeds_in_the_most_draws_is_chosen():
     every = [item.name for item in scene.objects if not item.environment]
     shared = with_moved(TASK, every, (0.02, 0.01, 0.0))
     zero = np.zeros(2)
-    found = sampled_plans(TASK, scene, TASK.plan, [scene, shared, away], zero)
+    found = sampled_plans(TASK, scene, TASK.plan, [scene, shared, away], [scene, away], zero)
     assert found.predicted == found.chosen_predicted == pytest.approx(2 / 3)
-    assert found.chosen_on_truth.success
+    assert found.on_truths == 0.5 and found.chosen_on_truth.success
     wrong = TASK.plan.shifted((0.06, 0.05, 0.0))
-    found = sampled_plans(TASK, scene, wrong, [scene, shared], zero)
-    assert (found.predicted, found.chosen_predicted) == (0.0, 1.0)
+    found = sampled_plans(TASK, scene, wrong, [scene, shared], [scene], zero)
+    assert (found.predicted, found.on_truths, found.chosen_predicted) == (0.0, 0.0, 1.0)
     assert found.chosen_on_truth.success
-    assert sampled_plans(TASK, scene, None, [], zero) is None
+    assert sampled_plans(TASK, scene, None, [], [], zero) is None
 
 
 def answer(plan):

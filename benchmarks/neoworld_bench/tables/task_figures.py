@@ -72,21 +72,21 @@ def success_figures(rows: Sequence[SuccessRow]) -> dict[str, Any]:
         "shift_m": float(np.median([row.shift_m for row in rows])),
         "seconds": float(np.median([row.seconds for row in rows])),
         "executing_s": float(np.median([row.executing_s for row in rows])),
-        **_reliability([row for row in rows if row.predicted is not None]),
+        **_reliability([row for row in rows if row.on_truths is not None]),
     }
 
 
 def _reliability(rows: Sequence[SuccessRow]) -> dict[str, Any]:
-    """Return how well success in draws predicts that in the ground truth; nothing without draws.
+    """Return how well success in draws predicts that in draws of the truth's physics.
 
-    The error is the mean difference between predicted success and success over BINS of equal
-    width, weighted by their rows. Abstaining leaves out plans that succeed in fewer than CERTAIN of
-    the draws.
+    The error is the mean difference between the two over BINS of predicted success of equal width,
+    weighted by their rows. Abstaining leaves out plans that succeed in fewer than CERTAIN of the
+    draws. Nothing is returned without draws.
     """
     if not rows:
         return {}
     predicted = np.array([row.predicted for row in rows], float)
-    truth = np.array([row.on_truth for row in rows], float)
+    truth = np.array([row.on_truths for row in rows], float)
     bins = np.minimum((predicted * BINS).astype(int), BINS - 1)
     diagram = [
         {

@@ -13,7 +13,6 @@ import copy
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,7 @@ from ..noise.parse_noise import NoiseLog
 from ..rows import Row
 from .catalogue import all_tasks, find_task
 from .execution import START_DEPTH_M, judge
+from .plan_reliability import truth_samples
 from .policy_tasks import Effector, policy_task, with_start_noise
 from .success_runs import common_offset, described, planned_there
 from .task import ManipulationTask, TaskKind
@@ -224,12 +224,6 @@ def _trained(
             )
         )
     return tuple(results)
-
-
-@lru_cache(maxsize=2)
-def truth_samples(name: str, n: int, seed: int) -> SceneSamples:
-    """Return draws of the physical quantities of a task's ground truth."""
-    return sample(find_task(name).scene, n, seed=seed, sizes=False)
 
 
 class _Arena:

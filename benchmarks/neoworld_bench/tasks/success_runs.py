@@ -26,7 +26,7 @@ from ..noise.parse_noise import NoiseLog
 from .catalogue import find_task
 from .execution import Outcome, execute
 from .plan_format import TaskPlan
-from .plan_reliability import sampled_plans
+from .plan_reliability import sampled_plans, truth_samples
 from .task import ManipulationTask
 from .task_scenes import TaskPhoto, photographed_task
 
@@ -173,6 +173,8 @@ class SuccessRow(MethodRow):
     """Number of draws about the result that are kept, in which plans are executed."""
     predicted: float | None = None
     """Share of the draws in which the plan of the result succeeds."""
+    on_truths: float | None = None
+    """Share of draws of the ground truth's physics in which it does."""
     chosen_predicted: float | None = None
     """Share of the draws in which that plan succeeds which succeeds in the most."""
     chosen_on_truth: bool | None = None
@@ -239,7 +241,11 @@ def _row(
         if job.settings.samples and method != TRUTH:
             drawn = sample(result.scene, job.settings.samples, seed=job.settings.seed)
             draws = [photo.back(drawn.scene(int(k))) for k in drawn.kept]
-            sampled = sampled_plans(task, scene, there.plan, draws, common_offset(task, scene))
+            there_drawn = truth_samples(task.name, job.settings.samples, job.settings.seed)
+            truths = [there_drawn.scene(int(k)) for k in there_drawn.kept]
+            sampled = sampled_plans(
+                task, scene, there.plan, draws, truths, common_offset(task, scene)
+            )
     return SuccessRow(
         **job.columns(method, errors),
         task=task.name,
@@ -259,6 +265,7 @@ def _row(
         executing_s=there.seconds,
         draws=len(draws),
         predicted=None if sampled is None else sampled.predicted,
+        on_truths=None if sampled is None else sampled.on_truths,
         chosen_predicted=None if sampled is None else sampled.chosen_predicted,
         chosen_on_truth=None if sampled is None else sampled.chosen_on_truth.success,
         rollouts=rollouts,
