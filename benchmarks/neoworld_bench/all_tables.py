@@ -26,6 +26,7 @@ TABLES = {
         "scenes --scenes arrangements --starts 4 --method ours aligned gravity --noise layout"
     ),
     "arrangements_all": "scenes --scenes arrangements --starts 4 --method ours aligned gravity",
+    "searches": "scenes --starts 2 --method ours random algorithm1_aligned",
     "evidence": (
         "scenes --starts 2 --method aligned --evidence none exif fov fov+affine fov+pose fov+depth "
         "fov+pose+depth fov+masks fov+depth+masks second stereo"

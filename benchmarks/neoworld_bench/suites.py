@@ -104,9 +104,10 @@ class SceneSet(NoisyRuns):
     scenes: tuple[str, ...] = ()
     """Names of scenes, a single number of scenes, or `arrangements`; the thirty by default."""
     method: tuple[str, ...] = ("ours", "open_loop", "gravity", "guided", "no_simulation")
-    """Methods: ours; without a search open_loop, gravity, guided and aligned; algorithm1; ablations
-    no_simulation, without_s_sem, without_d_pen, without_d_drift, without_photo, without_contours,
-    without_edges and without_final."""
+    """Methods: ours; without a search open_loop, gravity, guided and aligned; other searches
+    algorithm1, algorithm1_aligned and random; ablations no_simulation, without_s_sem,
+    without_d_pen, without_d_drift, without_photo, without_contours, without_edges and
+    without_final."""
     noise: NoiseName = "all"
     """Noise of the initial scenes. exact: none; layout: positions, sizes, headings, camera and 2D
     boxes; parse: also wrong objects, parents and openings; programs: layout, and wrong shapes and

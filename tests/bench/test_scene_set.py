@@ -113,6 +113,11 @@ def test_algorithm_1_has_the_papers_value_of_every_option_of_the_search():
             assert values[option.path] == option.difference.value, option.path
 
 
+def test_random_search_differs_from_ours_by_its_optimizer_alone():
+    other = SEARCHES["random"](RefineOptions())
+    assert other == RefineOptions(optimizer="random") != RefineOptions()
+
+
 SMALL = {
     "refine": {
         "cem": {"population": 8, "iterations": 1},

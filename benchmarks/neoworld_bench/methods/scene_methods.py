@@ -93,7 +93,8 @@ EVIDENCE: dict[str, AlignOptions] = {
 """Options of the alignment with the photograph in each of its ablations."""
 SEARCHES: dict[str, Callable[[RefineOptions], RefineOptions]] = {
     "ours": ours,
-    "algorithm1": algorithm1,
+    "random": partial(changed, change={"optimizer": "random"}),
+    **dict.fromkeys(("algorithm1", "algorithm1_aligned"), algorithm1),
     **{name: partial(changed, change=change) for name, change in ABLATIONS.items()},
     **dict.fromkeys(EVIDENCE, ours),
 }
