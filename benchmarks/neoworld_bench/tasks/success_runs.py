@@ -241,8 +241,10 @@ def _row(
         if job.settings.samples and method != TRUTH:
             drawn = sample(result.scene, job.settings.samples, seed=job.settings.seed)
             draws = [photo.back(drawn.scene(int(k))) for k in drawn.kept]
-            there_drawn = truth_samples(task.name, job.settings.samples, job.settings.seed)
-            truths = [there_drawn.scene(int(k)) for k in there_drawn.kept]
+            truths = []
+            if there.plan is not None:
+                varied = truth_samples(task.name, job.settings.samples, job.settings.seed)
+                truths = [varied.scene(int(k)) for k in varied.kept]
             sampled = sampled_plans(
                 task, scene, there.plan, draws, truths, common_offset(task, scene)
             )
